@@ -7,6 +7,7 @@ import gc
 import io
 import json
 import math
+import shlex
 import signal
 import socket
 import struct
@@ -33,7 +34,7 @@ from asterism import AsterismError
 from asterism.cameras.files import write_rig
 from asterism.cli import _console, main
 from asterism.cli._live_options import LiveOptions
-from asterism.cli._live_recordings import write_recorded
+from asterism.cli._live_recordings import leave_recorded, write_recorded
 from asterism.cli._live_sessions import ended_by_signals, run_session
 from asterism.cli.live import _run
 from asterism.files.journal import Journal
@@ -72,6 +73,7 @@ from asterism.live.datagrams import DatagramReader, socket_for
 from asterism.live.pauses import short_pauses
 from asterism.live.replay import Replay
 from asterism.recording import MarkerSet, Recording
+from asterism.recording.rates import TO_RATE
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ring_rig
 
@@ -221,7 +223,8 @@ def test_every_number_is_received_lost_or_late(numbers: list[int]) -> None:
     assert count.received + count.late == len(numbers)
     if not count.restarts:
         assert taken == sorted(set(taken))
-        assert count.lost == (0 if not taken else taken[-1] - taken[0] + 1 - len(taken))
+        came = {number for number in numbers if taken and taken[0] <= number <= taken[-1]}
+        assert count.lost == (0 if not taken else taken[-1] - taken[0] + 1 - len(came)), "what came late is not lost, too"
     restarts = count.restarts
     assert count.takes(5_000_000) and count.restarts == restarts + (1 if numbers else 0), "numbers that begin anew are no loss"
 
@@ -555,6 +558,30 @@ def test_times_that_do_not_grow_need_a_rate() -> None:
         LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
 
 
+def test_numbers_that_stand_still_are_no_wrong_times() -> None:
+    """Only frames after a silence are taken then, one a second."""
+    still = [LiveFrame(0, n / RATE, n / RATE, np.zeros((1, 3))) for n in range(800)]
+    with pytest.raises(AsterismError, match="given: most of its frames have the number of an earlier one; number each frame one higher"):
+        LiveSession(Given(still, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
+def test_numbers_that_stand_still_and_times_that_do_not_go_as_a_clock_are_told_while_they_come() -> None:
+    for numbers, times, code in (([0] * 40, np.arange(40.0) / RATE, "live-late"), (range(40), 10.0 * np.arange(40.0), "live-times")):
+        session = LiveSession(Given([]), lambda rate, up: Numbers())
+        session._rate = RATE
+        for count, (number, at) in enumerate(zip(numbers, times, strict=True), start=1):
+            session._take(LiveFrame(number, at, count / RATE, np.zeros((1, 3))))
+            assert [finding.code for finding in session.findings()] == ([code] if count >= TO_RATE else [])
+        health = session.health()
+        assert [finding.code for finding in session_findings(health, "given", parts=[session])].count(code) == 1
+
+
+def test_times_in_milliseconds_are_to_be_sent_in_seconds() -> None:
+    late = [LiveFrame(n, 10.0 * n, n / RATE, np.zeros((1, 3))) for n in range(40)]
+    with pytest.raises(AsterismError, match=r"grow by 10 from frame to frame, and are read as seconds; send seconds\.$"):
+        LiveSession(Given(late, math.nan), lambda rate, up: Numbers(), waits=True).run()
+
+
 def test_what_came_before_a_session_failed_is_kept_and_said(tmp_path: Path, capsys) -> None:
     still = [LiveFrame(n, 0.0, float(n), np.zeros((1, 3))) for n in range(40)]
     options, kept = LiveOptions(output=tmp_path / "x.c3d"), tmp_path / "x.c3d.live"
@@ -806,6 +833,39 @@ def test_a_disk_that_fails_ends_the_recording_and_not_the_session(tmp_path: Path
     assert "recording ended" in recorder.problem and recorder.kept == 1
     assert told == [recorder.problem], "it is said while the session goes on, once"
     assert len(recording_of(tmp_path / "walk.live").clouds) == 1
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="Windows removes no file that is open")
+@pytest.mark.parametrize("at_the_end", [False, True])
+def test_a_recording_that_is_removed_while_it_is_written_is_not_said_to_be_there(tmp_path: Path, at_the_end: bool) -> None:
+    told = list[str]()
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None, told.append)
+    first, last = frames([0, 1])
+    recorder.frame(first)
+    recorder._flush()
+    if at_the_end:
+        # Nothing is written any more.
+        recorder._thread.close()
+    recorder.path.unlink()
+    if not at_the_end:
+        recorder.frame(last)
+        recorder._flush()
+        assert len(told) == 1, "it is told at once"
+    recorder.close()
+    assert told == [recorder.problem] and "removed or moved" in recorder.problem and recorder.kept == 0
+    (finding,) = [each for each in session_findings(Health(labelled=2, shown=2), "given", recorder) if each.code == "live-not-recorded"]
+    assert finding.mend == "Leave walk.live and its folder in their place until the session ends."
+
+
+def test_how_an_unfinished_recording_is_written_can_be_copied_into_a_terminal(tmp_path: Path, capsys) -> None:
+    output = tmp_path / "left and right.c3d"
+    recorder = LiveRecorder(tmp_path / "left and right.c3d.live", "given", None)
+    recorder.frame(frames([0])[0])
+    recorder.close()
+    leave_recorded(recorder, output)
+    said = capsys.readouterr().err.replace("\n", " ")
+    words = shlex.split(said[said.index("asterism live") : said.index(" writes it")])
+    assert words == ["asterism", "live", "--finish", str(recorder.path), "-o", str(output)]
 
 
 def test_labels_that_a_busy_disk_leaves_out_are_counted_and_told(tmp_path, monkeypatch) -> None:

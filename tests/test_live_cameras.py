@@ -603,6 +603,15 @@ def test_cameras_are_listed_with_what_can_be_set(capsys, rig_file):
     assert [camera["has"]["exposure"] for camera in json.loads(out)["cameras"]] == [4.0, 4.0]
 
 
+def test_cameras_that_are_named_are_listed_as_there_or_not(capsys, tmp_path):
+    listed = tmp_path / "listed.toml"
+    status, out, err = run(capsys, "list", "--address", "simulated://", "--address", "camera://97", "-o", listed)
+    assert status == 1 and "Asterism simulated" in out and "camera2: camera://97" in err
+    assert 'model = "Asterism simulated"' in listed.read_text() and "gain =" not in listed.read_text()
+    status, out, err = run(capsys, "list", "--address", "nonsense://x")
+    assert status == 2 and "nonsense://x is no camera" in err and not out
+
+
 def test_cameras_are_watched_to_their_end_and_one_that_is_gone_costs_itself(capsys, monkeypatch, tmp_path, film):
     monkeypatch.setattr(import_module("asterism.cli.live_cameras.watch"), "_EVERY", 0.05)
     rig = tmp_path / "cameras.toml"

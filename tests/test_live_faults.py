@@ -143,11 +143,47 @@ def test_of_two_senders_on_one_port_one_is_heard_and_the_other_named() -> None:
 
 
 def test_a_sender_that_opens_a_socket_for_each_frame_is_one_sender() -> None:
+    """Also where one of its frames is lost, or comes late."""
+    source, numbers = JsonDatagrams(HostPort("127.0.0.1", 0), RATE), [*range(10), 12, 13, 11, *range(14, 20)]
+    frames = sent(20)
+    senders = [socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in numbers]
+    for number, sender in zip(numbers, senders, strict=True):
+        sender.sendto(frames[number], ("127.0.0.1", source.port))
+    assert [frame.number for frame in taken(source, len(numbers))] == numbers and source.findings() == []
+    for sender in senders:
+        sender.close()
+    source.close()
+
+
+def test_a_second_sender_whose_number_is_the_next_one_by_chance_is_not_heard() -> None:
+    """As of 100 and 120 Hz that were begun together: each number of the faster one is the next one of the slower, once."""
     source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
-    for data in sent(20):
-        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+    one, other = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for sender, number in [(one, 5), (other, 4), (one, 6), (other, 7), (other, 8), (one, 7), (one, 8)]:
+        sender.sendto(sent(1, number)[0], ("127.0.0.1", source.port))
+    assert [frame.number for frame in taken(source, 4)] == [5, 6, 7, 8]
+    (finding,) = source.findings()
+    assert f"is heard; these were not: 127.0.0.1:{other.getsockname()[1]} (3 frames)" in finding.sentence
+    for each in (one, other):
+        each.close()
+    source.close()
+
+
+def test_a_sender_that_is_begun_anew_at_another_port_is_not_called_two() -> None:
+    source = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
+    one, anew = (socket.socket(socket.AF_INET, socket.SOCK_DGRAM) for _ in range(2))
+    for sender, first in ((one, 500), (anew, 0)):
+        for data in sent(10, first):
             sender.sendto(data, ("127.0.0.1", source.port))
-    assert [frame.number for frame in taken(source, 20)] == list(range(20)) and source.findings() == []
+    assert len(taken(source, 10)) == 10
+    assert [finding.code for finding in source.findings()] == ["live-new-sender"], "it may be, before the second is over"
+    source._at -= 2.0
+    anew.sendto(sent(1, 10)[0], ("127.0.0.1", source.port))
+    assert [frame.number for frame in taken(source, 1)] == [10]
+    (finding,) = source.findings()
+    assert finding.code == "live-new-sender" and "10 frames came from a new address" in finding.sentence
+    for each in (one, anew):
+        each.close()
     source.close()
 
 

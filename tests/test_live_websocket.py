@@ -24,6 +24,7 @@ from asterism.live import (
     open_output,
     open_source,
 )
+from asterism.live.outputs import WAITING
 from asterism.live.websocket import FromWebSocket, ToWebSocket
 
 client = pytest.importorskip("websockets.sync.client", reason="websockets is not installed")
@@ -77,6 +78,19 @@ def test_a_sender_that_comes_is_heard_and_a_second_one_is_sent_away() -> None:
     source.close()
     assert source.read(0.0) is None
     assert not any("ws-listen" in thread.name for thread in threading.enumerate())
+
+
+def test_frames_that_waited_too_long_here_were_not_lost_on_the_way() -> None:
+    source = open_source("ws-listen://127.0.0.1:0", 100.0)
+    assert isinstance(source, FromWebSocket)
+    with client.connect(f"ws://127.0.0.1:{source.port}", proxy=None) as sender:
+        for number in range(WAITING + 5):
+            sender.send(frame_as_json(frame(number)))
+        until(lambda: source.overflowed == 5)
+        assert taken(source).number == 5
+    (finding,) = source.findings()
+    assert finding.code == "live-overflow" and "5 packets came while this machine was too busy" in finding.sentence
+    source.close()
 
 
 def test_pages_of_a_browser_may_not_come_unless_named() -> None:

@@ -144,7 +144,8 @@ class _Times:
 
     def __init__(self, keep: int = 0) -> None:
         self.seconds, self._last = list[float](), time.perf_counter()
-        self.spent = np.zeros(keep, dtype=np.float32)
+        # Written once, so that all of it is in memory from the beginning: it must not count as growth of the session.
+        self.spent = np.full(keep, np.nan, dtype=np.float32)
         self._count = 0
 
     def send(self, frame: AnalysedFrame) -> None:

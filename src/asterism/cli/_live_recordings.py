@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from shlex import quote
 from typing import TYPE_CHECKING
 
 from asterism.cli import _console
@@ -43,8 +44,8 @@ def refuse_unfinished(options: LiveOptions) -> None:
         raise AsterismError(f"another session records to {options.output} now; name another output, or end that one.")
     if left.frames:
         raise AsterismError(
-            f"{path} holds what a session recorded that was not finished; write it with `asterism live --finish {path} -o FILE.c3d`, which "
-            "removes it, or remove it yourself."
+            f"{path} holds what a session recorded that was not finished; write it with `asterism live --finish {quote(str(path))} "
+            "-o FILE.c3d`, which removes it, or remove it yourself."
         )
     path.unlink()
 
@@ -89,7 +90,8 @@ def write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) -> 
 def leave_recorded(recorder: LiveRecorder, output: Path) -> None:
     """Say how it is written what was recorded, where something hinders it: nothing is lost. Where no frame was kept nothing is left."""
     if recorder.kept:
-        _console.notice(f"{output} was not written; {recorder.path} has all: --finish {recorder.path} -o {output} writes it.")
+        kept, written = quote(str(recorder.path)), quote(str(output))
+        _console.notice(f"{output} was not written; {recorder.path} has all: asterism live --finish {kept} -o {written} writes it.")
     else:
         recorder.path.unlink(missing_ok=True)
 

@@ -98,7 +98,7 @@ def _run(session: LiveSession, options: LiveOptions, unfinished: Path | None) ->
 def _check(options: LiveOptions) -> None:
     """Raise AsterismError where options contradict each other, or a file would be overwritten; before anything is opened."""
     from asterism.formats import check_suffix
-    from asterism.session.worn import SetFinder
+    from asterism.recording import MarkerSet
 
     if options.lines and options.json == "-":
         raise AsterismError("--lines and --json - both print to standard output; give --json a file.")
@@ -106,7 +106,7 @@ def _check(options: LiveOptions) -> None:
         raise AsterismError("a model has its own marker set; give either --model or --markers.")
     if options.markers is not None:
         # A misspelt set must not wait for the first frames to be refused.
-        SetFinder([options.markers]).given_sets()
+        MarkerSet.load(options.markers)
     if options.rate is not None and not 0 < options.rate < math.inf:
         raise AsterismError(f"--rate {options.rate:g} is no rate; give frames per second, above 0.")
     unused = {"--static": options.static, "--measure": options.measure, "--lower-body": options.lower_body, "--hip": options.hip}

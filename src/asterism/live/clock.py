@@ -107,14 +107,14 @@ class FrameCount:
     """Counts the frames of a source by their numbers.
 
     received  frames that were taken
-    lost      numbers that were passed over
+    lost      numbers that were passed over, and did not come later
     late      frames that came after a later one, or twice: they are not used
     restarts  times that the numbers began anew
     others    frames of a second sender behind the same address, whose numbers go on beside: they are not used, but for the first one
 
     >>> count = FrameCount()
     >>> [count.takes(number) for number in (7, 8, 11, 10, 11)], count.lost, count.late
-    ([True, True, True, False, False], 2, 2)
+    ([True, True, True, False, False], 1, 2)
     """
 
     received: int = 0
@@ -132,6 +132,8 @@ class FrameCount:
     _heard: int = 0
     """frames that were taken up to when one of those was heard"""
     _in_a_row: int = 0
+    _missing: set[int] = field(default_factory=set)
+    """the latest of the lost ones, which may still come"""
 
     def takes(self, number: int, *, silent: bool = False) -> bool:
         """Whether a frame of this number is a new one; silent: nothing came for a second.
@@ -146,6 +148,11 @@ class FrameCount:
             if abs(ahead) >= _WINDOW and not silent and self._goes_on_beside(number):
                 return self._of_another(number)
             self._in_a_row = 0
+            if number in self._missing and not silent:
+                # Who begins anew sends numbers again that were there; this one was not.
+                self._missing.discard(number)
+                self._before, self.lost, self.late = number, self.lost - 1, self.late + 1
+                return False
             self._behind = 0 if ahead > 0 else self._behind + 1 if number == self._before + 1 else 1
             self._before = number
             if -_WINDOW < ahead <= 0 and self._behind < _IN_A_ROW and not silent:
@@ -153,6 +160,11 @@ class FrameCount:
                 return False
             lost, restarts = (ahead - 1, 0) if 0 < ahead <= 10 * _WINDOW else (0, 1)
             self.lost, self.restarts = self.lost + lost, self.restarts + restarts
+            if not 0 < ahead < _WINDOW:
+                self._missing.clear()
+            elif lost:
+                kept = {missing for missing in self._missing if missing > number - _WINDOW}
+                self._missing = kept.union(range(self._last + 1, number))
             if abs(ahead) >= _WINDOW:
                 self._beside, self._jump, self._heard = self._last, (lost, restarts), self.received
         self._last = number
@@ -174,6 +186,7 @@ class FrameCount:
         lost, restarts = self._jump or (0, -1)
         self.lost, self.restarts, self.others = self.lost - lost, self.restarts - restarts, self.others + (self._jump is not None)
         self._last, self._beside, self._jump, self._in_a_row = number, self._last, None, 0
+        self._missing.clear()
         self.received += 1
         return True
 

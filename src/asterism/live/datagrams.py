@@ -153,6 +153,12 @@ _GONE = 1.0
 the network brings in a stranger; with twice as much a sender that was begun anew is missed for 2 s."""
 
 
+_SINGLE, _NEAR = 3, 1000
+"""Addresses in a row with a single frame each, after which a program opens a socket for each; and how far the number of the next one may be
+from the last one then. Twice as many lose a second of a session that begins with a lost frame; half of them are two senders that take turns
+by chance. Half or double the distance do as well: the network holds no frame back for long."""
+
+
 class JsonSource:
     """What sources of JSON frames have in common: the counts of what could not be read."""
 
@@ -176,8 +182,9 @@ class JsonDatagrams(JsonSource):
     place  where to listen
     rate   frames per second that the sender was told to send
 
-    One sender is heard. Another address takes its place where it goes on with the very next frame, as a program does that opens a socket
-    for each, or where the one that is heard has been silent for a second. Frames of others are counted by address, and never mixed in.
+    One sender is heard. Another address takes its place where the one that is heard has been silent for a second. So does a new address
+    that sends the very next number, as a program does that opens a socket for each frame; of such a program also numbers near it are taken.
+    Frames of others are counted by address, and never mixed in.
     Raises AsterismError where the address is none of this machine's, or the port is taken.
     """
 
@@ -188,7 +195,11 @@ class JsonDatagrams(JsonSource):
         self._times = StreamTimes(rate)
         self._heard: str = ""
         self._last, self._at = 0, -math.inf
+        self._frames, self._single = 0, 0
+        """frames of the address that is heard, and how many addresses in a row before it sent a single one"""
         self._others = dict[str, int]()
+        self._waiting, self._taken_over = dict[str, int](), 0
+        """frames that were not used, by address, since the last one of the address that is heard; those of addresses that took its place"""
 
     @property
     def port(self) -> int:
@@ -218,6 +229,9 @@ class JsonDatagrams(JsonSource):
             sentence = f"{where}: several programs send to it. {self._heard} is heard; these were not: {others}."
             mend = "Stop the others, or give each a port of its own."
             found.append(Finding("live-other-sender", Severity.WARNING, where, sentence, mend))
+        if waited := self._taken_over + sum(self._waiting.copy().values()):
+            sentence = f"{where}: {counted(waited, 'frame')} came from a new address while the one before may still have sent: not used."
+            found.append(Finding("live-new-sender", Severity.NOTE, where, sentence, "A sender that is begun anew is heard after a second."))
         return [*found, *overflow(where, self.overflowed), *self._damaged.findings(where)]
 
     def close(self) -> None:
@@ -226,13 +240,33 @@ class JsonDatagrams(JsonSource):
 
     def _hears(self, sender: str, frame: LiveFrame) -> bool:
         """Whether this is the sender that is heard."""
-        goes_on = not self._heard or frame.number == self._last + 1 or frame.arrived - self._at > _GONE
-        if sender != self._heard and not goes_on:
-            key = sender if sender in self._others or len(self._others) < _OTHERS else "others"
-            self._others[key] = self._others.get(key, 0) + 1
+        if sender == self._heard:
+            self._frames += 1
+            # It goes on, so that the others are no sender that was begun anew.
+            for other, count in self._waiting.items():
+                key = other if other in self._others or len(self._others) < _OTHERS else "others"
+                self._others[key] = self._others.get(key, 0) + count
+            self._waiting = {}
+        elif self._takes_over(sender, frame):
+            self._single, self._frames = self._single + 1 if self._frames == 1 else 0, 1
+            self._taken_over += self._waiting.pop(sender, 0)
+        else:
+            counts = self._others if sender in self._others else self._waiting
+            key = sender if sender in counts or len(counts) < _OTHERS else "others"
+            counts[key] = counts.get(key, 0) + 1
             return False
         self._heard, self._last, self._at = sender, frame.number, frame.arrived
         return True
+
+    def _takes_over(self, sender: str, frame: LiveFrame) -> bool:
+        """Whether an address takes the place of the one that is heard."""
+        if not self._heard or frame.arrived - self._at > _GONE:
+            return True
+        if sender in self._others or sender in self._waiting:
+            # It sends beside the other one, and its number is the next one by chance.
+            return False
+        near = abs(frame.number - self._last) < _NEAR and self._single >= _SINGLE
+        return near or frame.number == self._last + 1
 
 
 def socket_for(place: HostPort, example: str) -> tuple[socket.socket, Any]:

@@ -115,6 +115,8 @@ def _subject(kind: str, given: Any, where: str) -> dict[str, Any]:
         if not isinstance(markers, list) or len(markers) != _MARKERS[kind] or not all(isinstance(name, str) and name for name in markers):
             example = ["LTHI", "LKNE", "LANK"][: _MARKERS[kind]]
             raise AsterismError(f"{where}: {kind} needs {_MARKERS[kind]} marker names, as in {kind} = {example}.")
+        if len(set(map(canonical, markers))) < len(markers):
+            raise AsterismError(f"{where}: {kind} is of {_MARKERS[kind]} different markers, and {listed(markers)} names one of them twice.")
         return {"markers": tuple(markers), "of": ""}
     examples = {"value": "left knee flexion", "symmetry": "step time", "event": "heel strike"}
     if not isinstance(given, str) or not given.strip():
@@ -171,10 +173,16 @@ def _check(rule: FeedbackRule, where: str) -> None:
         raise AsterismError(
             f"{where}: a tone needs low and high, the values of its lowest and highest pitch, low below high, as in low = 80."
         )
-    if rule.after and rule.is_moment:
-        raise AsterismError(f"{where}: an event or a repetition does not last; leave out after.")
+    given = [key for key in ("low", "high") if not math.isnan(getattr(rule, key))]
+    if given and rule.sound != "tone":
+        raise AsterismError(f'{where}: {given[0]} is of a tone; add sound = "tone", or leave it out.')
+    lasting = "after" if rule.after else "hysteresis" if rule.hysteresis else ""
+    if lasting and rule.is_moment:
+        raise AsterismError(f"{where}: an event or a repetition does not last; leave out {lasting}.")
     if math.isnan(rule.above) and math.isnan(rule.below) and not rule.is_moment and rule.sound != "tone":
         raise AsterismError(f"{where}: it needs above or below, the value at which the person is told.")
+    if rule.hysteresis and math.isnan(rule.above) and math.isnan(rule.below):
+        raise AsterismError(f"{where}: hysteresis is how far a value goes back behind above or below; give one of them, or leave it out.")
 
 
 class _RuleState:

@@ -52,7 +52,8 @@ class LiveRecorder:
     rate  frames per second that the source says; NaN where it does not
 
     Memory is bounded by `_MOST` frames: where the disk takes longer, frames are not kept, and `lost` counts them, or their labels are not,
-    and `unlabelled` counts those. A disk that fails ends the recording and not the session: `problem` says why.
+    and `unlabelled` counts those. A disk that fails ends the recording and not the session: `problem` says why, and `mend` what
+    to do. Where the file is removed or moved meanwhile nothing is kept.
     """
 
     def __init__(
@@ -67,6 +68,7 @@ class LiveRecorder:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self._tell = path, "", tell
+        self.mend = "Make space, or record to another disk."
         self.kept, self.lost, self.unlabelled = 0, 0, 0
         self._journal = Journal(path, _WORK)
         up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
@@ -100,6 +102,16 @@ class LiveRecorder:
         """Write the rest."""
         self._thread.close()
         self._journal.close()
+        self._look()
+
+    def _look(self) -> None:
+        """Whether the file still has its name: no write fails where it has not, and nobody finds what is written."""
+        if self.path.exists():
+            return
+        self.kept = 0
+        if not self.problem:
+            self.mend = f"Leave {self.path.name} and its folder in their place until the session ends."
+            self._fails(f"{self.path}: recording ended, since the file or its folder was removed or moved meanwhile.")
 
     def _flush(self) -> None:
         with self._guard:
@@ -109,6 +121,7 @@ class LiveRecorder:
         self._written(lambda: _arrays_of(chunk))
         if not self.problem:
             self.kept += len(chunk.frames)
+            self._look()
 
     def _written(self, compute: Callable[[], Sequence[NDArray[Any]]]) -> None:
         try:
@@ -117,8 +130,11 @@ class LiveRecorder:
         except Exception as problem:  # the session goes on, whatever happens here
             lost = repr(problem)
         if lost and not self.problem:
-            self.problem = f"{self.path}: recording ended ({lost}); what was recorded before is kept."
-            self._tell(self.problem)
+            self._fails(f"{self.path}: recording ended ({lost}); what was recorded before is kept.")
+
+    def _fails(self, problem: str) -> None:
+        self.problem = problem
+        self._tell(problem)
 
 
 class _Arrays(NamedTuple):

@@ -33,6 +33,9 @@ _NO_LABELS = (
 _NO_POINTS_TOLD = ("reconstruct-no-points", "reconstruct-no-fit", "live-camera-silent", "live-camera-size")
 _SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
+NUMBER_FRAMES = "number each frame one higher than the last, and let one sender send."
+"""What a person can do whose frames have numbers that stand still."""
+_OF_NUMBERS = ("live-late", "live-times")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
 
@@ -49,7 +52,8 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
     recorder  None where nothing was recorded
     parts     the source and the outputs, for what they say themselves
     """
-    found = own_findings(parts)
+    # What a session said of its numbers while it ran is counted once more.
+    found = [finding for finding in own_findings(parts) if finding.code not in _OF_NUMBERS]
     # Who knows why no point is made says more than that there is none.
     if any(finding.code in _NO_POINTS_TOLD for finding in found):
         found = [finding for finding in found if finding.code != "live-no-points"]
@@ -71,10 +75,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
         sentence = f"{where}: {counted(health.lost, 'frame')} never arrived ({share} %)."
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
-    if health.late:
-        sentence = f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
-        mend = "Number each frame one higher than the last, and let one sender send." if most else "Look at the network."
-        found.append(Finding("live-late", _WARNING if most else _NOTE, where, sentence, mend))
+    found += wrong_numbers(health, where)
+    if health.late and not most:
+        found.append(Finding("live-late", _NOTE, where, _late(health, where), "Look at the network."))
     if health.others:
         sentence = f"{where}: two programs send through one address: {counted(health.others, 'frame')} of the second not used."
         mend = "Stop one of them, or give each a port of its own."
@@ -88,10 +91,7 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = f"{where}: {counted(health.damaged, 'packet')} could not be read."
         mend = "Look whether something else sends to this port, or in another format."
         found.append(Finding("live-damaged", _WARNING, where, sentence, mend))
-    if 2 * health.jumps > health.frames:
-        sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
-        found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
-    elif (health.jumps or health.restarts) and not most:
+    if (health.jumps or health.restarts) and not most and not any(finding.code == "live-times" for finding in found):
         sentence = f"{where}: its clock or its frame numbers began anew {how_often(max(health.jumps, health.restarts))}."
         found.append(Finding("live-restarted", _WARNING, where, sentence, "Times go on from there; nothing needs to be done."))
     for output, count in health.unsent.items():
@@ -101,8 +101,23 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         lacking = [counted(recorder.lost, "frame")] if recorder.lost else []
         lacking += [f"the labels of {counted(recorder.unlabelled, 'frame')}"] if recorder.unlabelled else []
         sentence = recorder.problem or f"{recorder.path}: {' and '.join(lacking)} not recorded, since the disk was busy."
-        found.append(Finding("live-not-recorded", _ERROR, where, sentence, "Make space, or record to another disk."))
+        found.append(Finding("live-not-recorded", _ERROR, where, sentence, recorder.mend))
     return found
+
+
+def wrong_numbers(health: Health, where: str) -> list[Finding]:
+    """What is wrong with the numbers, or the times, of most frames: nothing that network or clock can have done."""
+    found = list[Finding]()
+    if health.late > health.frames:
+        found.append(Finding("live-late", _WARNING, where, _late(health, where), NUMBER_FRAMES.capitalize()))
+    if 2 * health.jumps > health.frames:
+        sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
+        found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
+    return found
+
+
+def _late(health: Health, where: str) -> str:
+    return f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
 
 
 def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Finding]:

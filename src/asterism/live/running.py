@@ -21,6 +21,7 @@ from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
 from asterism.live.pauses import short_pauses
+from asterism.live.reporting import NUMBER_FRAMES, wrong_numbers
 from asterism.live.waiting import WaitingFrames
 from asterism.recording import Floats
 from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
@@ -273,8 +274,10 @@ class LiveSession:
         return self._queue.is_stopped
 
     def findings(self) -> list[Finding]:
-        """What a person should know of the marker set that was found, and of the studies."""
-        return [] if self._chain is None else self._chain.findings()
+        """What a person should know of the marker set that was found, of the studies, and of frames whose numbers or times are none."""
+        count = self._count
+        wrong = wrong_numbers(self.health(), self.source.about.name) if count.received + count.late >= TO_RATE else []
+        return [*wrong, *([] if self._chain is None else self._chain.findings())]
 
     def health(self) -> Health:
         """What was counted so far."""
@@ -396,11 +399,14 @@ class LiveSession:
                 return taken
             taken.append(frame)
             found = rate_of_times(rows_of([each.number for each in taken]), [each.time for each in taken])
+        name = self.source.about.name
+        # Where numbers stand still, only those frames were taken that came after a silence: of their times nothing follows.
+        if not found.step < _SLOWEST and self._count.late > self._count.received:
+            raise AsterismError(f"{name}: most of its frames have the number of an earlier one; {NUMBER_FRAMES}")
         if not found.step > 0:
-            raise AsterismError(f"{self.source.about.name}: its times do not grow from frame to frame; say its rate with --rate.")
+            raise AsterismError(f"{name}: its times do not grow from frame to frame; say its rate with --rate.")
         if found.step >= _SLOWEST:
-            sentence = f"its times grow by {found.step:g} from frame to frame, and are read as seconds"
-            raise AsterismError(f"{self.source.about.name}: {sentence}; send seconds, or say its rate with --rate.")
+            raise AsterismError(f"{name}: its times grow by {found.step:g} from frame to frame, and are read as seconds; send seconds.")
         self._rate = found.rate
         return taken
 

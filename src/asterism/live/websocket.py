@@ -20,7 +20,7 @@ from asterism.findings import Finding, Severity
 from asterism.live.addresses import Query, in_words
 from asterism.live.analysis import AnalysedFrame
 from asterism.live.clock import StreamTimes
-from asterism.live.datagrams import JsonSource, frame_of_json
+from asterism.live.datagrams import JsonSource, frame_of_json, overflow
 from asterism.live.frames import LiveFrame, SourceAbout
 from asterism.live.outputs import WAITING, labels_as_json, leave_one_out, tells_more
 from asterism.live.packages import packages_for
@@ -244,6 +244,7 @@ class FromWebSocket(JsonSource):
         super().__init__()
         self.about = SourceAbout(f"JSON at {place.name}", rate)
         self._came: deque[LiveFrame] = deque(maxlen=WAITING)
+        self.overflowed = 0
         self._times = StreamTimes(rate)
         self._there = threading.Condition()
         self._closed = False
@@ -255,7 +256,6 @@ class FromWebSocket(JsonSource):
         return self._endpoint.port
 
     async def _listen(self, link: Any) -> None:
-        # What waits too long is left out by the queue; its numbers say so.
         async for message in link:
             data = message.encode() if isinstance(message, str) else message
             frame = frame_of_json(data, time.monotonic())
@@ -263,6 +263,8 @@ class FromWebSocket(JsonSource):
                 if frame is None:
                     self._damaged.add(data)
                 else:
+                    # What waits too long is left out by the queue, and was not lost on the way.
+                    self.overflowed += len(self._came) == WAITING
                     self._came.append(frame)
                     self._there.notify()
 
@@ -275,9 +277,10 @@ class FromWebSocket(JsonSource):
         return None if frame is None else replace(frame, time=self._times.of(frame.number, frame.time, frame.arrived))
 
     def findings(self) -> list[Finding]:
-        """See `_Endpoint.findings`; frames without times; and what is wrong with the first message that could not be read."""
+        """See `_Endpoint.findings`; frames without times, or left out here; and what is wrong with the first message that was not read."""
         made = [times_made(self.about.name)] if self._times.made else []
-        return [*made, *self._endpoint.findings(), *self._damaged.findings(self.about.name)]
+        lost = overflow(self.about.name, self.overflowed)
+        return [*made, *self._endpoint.findings(), *lost, *self._damaged.findings(self.about.name)]
 
     def close(self) -> None:
         """Let go of the sender."""

@@ -24,7 +24,7 @@ class ListCamerasOptions:
     cameras: Cameras = None
     addresses: Addresses = field(default_factory=lambda: [])
     cti: Producer = ""
-    settings: Annotated[bool, typer.Option("--settings", help="Open each, and say what it has and what can be set.")] = False
+    settings: Annotated[bool, typer.Option("--settings", help="Say what each has and what can be set.")] = False
     output: Annotated[
         Path | None, typer.Option("--output", "-o", metavar="FILE", help="Write them as a file for --cameras.", show_default=False)
     ] = None
@@ -36,8 +36,9 @@ class ListCamerasOptions:
 def list(options: ListCamerasOptions) -> None:
     """List cameras: those that are plugged in, or those of a file.
 
-    Webcams are found by this system, machine vision cameras by the GenTL producers that their makers' drivers install. With --settings each
-    is opened. Write a file with -o, give each camera its name in the rig there, and use it with --cameras.
+    Webcams are found by this system, machine vision cameras by the GenTL producers that their makers' drivers install. Those of a file or
+    at an address are opened, to see whether they are there; with --settings all are. Write a file with -o, give each camera its name in the
+    rig there, and use it with --cameras.
     """
     from asterism.live.addresses import without_password
     from asterism.live.cameras import SETTINGS, CameraSpec, save_cameras
@@ -48,19 +49,19 @@ def list(options: ListCamerasOptions) -> None:
     abouts = [] if named else found_cameras(options.cti)
     specs = cameras_of(options.cameras, options.addresses) if named else [CameraSpec(about.name, about.address) for about in abouts]
     findings, rows, said = [], [], {}
-    if options.settings and specs:
+    if named or (options.settings and specs):
         group = opened_cameras(specs, options.cameras)
         findings = opening_findings(group)
-        known = [camera.about for camera in group.cameras]
-        said = {camera.name: {name: camera.get(name) for name in camera.settings} for camera in group.cameras}
-        if options.output is not None:
-            save_cameras(options.output, specs, group.said())
+        abouts = [camera.about for camera in group.cameras]
+        if options.settings:
+            said = {camera.name: {name: camera.get(name) for name in camera.settings} for camera in group.cameras}
+        own = group.said() if options.settings else {about.name: about.said() for about in abouts}
         group.close()
     else:
-        known = abouts
-        if options.output is not None:
-            save_cameras(options.output, specs, {about.name: about.said() for about in abouts})
-    by_name = {about.name: about for about in known}
+        own = {about.name: about.said() for about in abouts}
+    if options.output is not None:
+        save_cameras(options.output, specs, own)
+    by_name = {about.name: about for about in abouts}
     for spec in specs:
         about = by_name.get(spec.name)
         size = "" if about is None or not any(about.size) else f"{about.size[0]} x {about.size[1]}"
