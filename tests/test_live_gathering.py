@@ -17,6 +17,7 @@ from asterism.live.blobs._follow_kernels import link_blobs
 from asterism.live.blobs.camera_clock import CameraClock, compile_fit, same_clock
 from asterism.live.blobs.following import FollowedImage, between, follow
 from asterism.live.blobs.gathering import LONGEST_WAIT, ByNumber, ByTime, RigFrame
+from asterism.live.blobs.gathering.arrivals import REMEMBERED
 from asterism.live.camera_frames import LiveBlobs
 
 RATE = 100.0
@@ -282,6 +283,20 @@ def test_no_image_is_used_across_a_hole_in_its_camera() -> None:
     assert gather.cameras[1].times_away == 1 and not gather.cameras[1].away
 
 
+@pytest.mark.parametrize("dead", [0, 1])
+def test_a_free_camera_that_dies_takes_no_frame_with_it(dead: int) -> None:
+    """Not even the one at whose instants frames are made, which is the first here."""
+    images = [(c, b) for c, b in free(400, [0.0, 0.003, 0.006]) if not (c == dead and 200 <= b.number < 300)]
+    gather = ByTime(3, RATE)
+    frames = driven(gather, images)
+    assert [frame.number for _, frame in frames] == list(range(len(frames))) and len(frames) >= 375
+    assert np.diff([frame.time for _, frame in frames]).max() < 0.0175
+    assert max(out - (50.0 + frame.time) for out, frame in frames) < 0.03
+    assert max(misses(frame, frame.time) for _, frame in frames[5:]) < 0.5
+    assert [state.times_away for state in gather.cameras] == [c == dead for c in range(3)]
+    assert sum(dead in frame.missing for _, frame in frames if 3.05 < frame.time < 3.9) < 3, "it takes part again"
+
+
 def test_a_camera_whose_clock_is_set_takes_part_again() -> None:
     images = [
         (c, b if c != 1 or b.number < 150 else image(c, b.number, b.time + 3600.0, b.arrived, b.time))
@@ -317,3 +332,77 @@ def test_clocks_that_run_apart_are_not_one(ppm: float, one: bool) -> None:
         clocks[0].observe(at, at)
         clocks[1].observe(at * (1.0 + 1e-6 * ppm), at)
     assert same_clock(*clocks, LONGEST_WAIT) == one
+
+
+@given(st.integers(0, 10_000), st.integers(2, 4), st.sampled_from([0.0, 0.1]))
+@settings(max_examples=20, deadline=None)
+def test_images_that_come_twice_late_or_not_at_all_are_taken_once_or_told(seed: int, cameras: int, rough: float) -> None:
+    """Of cameras that run freely: lost ones, the same datagram again, and some that the network holds back behind the next ones."""
+    rng = np.random.default_rng(seed)
+    images = [(c, b) for c, b in free(120, rng.uniform(0, 1 / RATE, cameras).tolist(), seed=seed) if rng.random() >= rough]
+    again = [(c, image(c, b.number, b.time, b.arrived + 0.001, b.time)) for c, b in images if rng.random() < rough]
+    held = [(c, image(c, b.number, b.time, b.arrived + rng.choice([0.0, 0.025], p=[1 - rough, rough]), b.time)) for c, b in images]
+    gather = ByTime(cameras, RATE)
+    pushed: dict[int, list[float | None]] = {c: [] for c in range(cameras)}
+    push, kept = gather.push, list[int]()
+
+    def counted_push(camera: int, blobs: LiveBlobs) -> float | None:
+        pushed[camera].append(push(camera, blobs))
+        kept.append(max(len(track.images) for track in gather._tracks))
+        return pushed[camera][-1]
+
+    gather.push = counted_push  # type: ignore[method-assign]
+    frames = [frame for _, frame in driven(gather, [*held, *again])]
+    assert (np.diff([frame.time for frame in frames]) > 0).all() and (np.diff([frame.number for frame in frames]) > 0).all()
+    assert max(misses(frame, frame.time) for frame in frames) < 1.5, "nothing is taken at another time than its own"
+    for c, state in enumerate(gather.cameras):
+        times = [at for at in pushed[c] if at is not None]
+        assert len(pushed[c]) - len(times) == state.count.late, "what is not new is told"
+        assert (np.diff([at for at in times if not math.isnan(at)]) > 0).all()
+        assert state.without == sum(c in frame.missing for frame in frames)
+    # Those around the oldest frame that waits, and no more of them in a long session.
+    assert max(kept) < 40
+
+
+def test_images_of_one_instant_need_no_path_and_wait_for_no_other() -> None:
+    """As those of a trigger; blobs that were never seen before are in the frame, too."""
+    images = [(c, LiveBlobs(f"c{c}", n, n / RATE, 50.0 + n / RATE + 0.001 * c, np.full((1, 2), 700.0 * (n % 2)), np.ones(1)))
+              for c in range(3) for n in range(60)]  # fmt: skip
+    gather = ByTime(3, RATE)
+    frames = driven(gather, images)
+    assert [frame.time for _, frame in frames] == pytest.approx([n / RATE for n in range(20, 60)])
+    assert all(not frame.missing and all(len(xy) == 1 for xy in frame.xy) for _, frame in frames)
+    assert gather.image_wait == 0.0 and sum(state.unlinked for state in gather.cameras) == 0
+    assert max(out - 50.0 - frame.time for out, frame in frames[2:]) == pytest.approx(0.002)
+
+
+def test_an_image_with_the_time_of_the_one_before_is_late() -> None:
+    gather = ByTime(2, RATE)
+    for c, blobs in free(40, [0.0, 0.003]):
+        assert gather.push(c, blobs) is not None
+    for more, earlier in ((1, 0.0), (2, 0.1)):
+        assert gather.push(1, image(1, blobs.number + more, blobs.time - earlier, 51.0)) is None
+    assert gather.cameras[1].late == 2 and gather.cameras[1].count.received == blobs.number + 3
+
+
+def test_images_of_a_free_camera_that_come_after_their_frame_went_on_are_told() -> None:
+    """As where radio holds them back for 0.2 s, and brings them together."""
+    images = [
+        (c, image(c, b.number, b.time, 51.98 + 1e-4 * b.number, b.time) if not c and 180 <= b.number < 200 else b)
+        for c, b in free(300, [0.0, 0.003, 0.006])
+    ]
+    gather = ByTime(3, RATE)
+    frames = driven(gather, images)
+    assert max(out - (50.0 + frame.time) for out, frame in frames) <= LONGEST_WAIT + 0.02
+    state = gather.cameras[0]
+    assert state.count.lost == 0 and 12 <= state.late <= 20 and state.times_away == 1 and not state.away
+    assert [other.late for other in gather.cameras[1:]] == [0, 0]
+    assert all(not frame.missing for _, frame in frames if 52.1 < 50.0 + frame.time < 52.9)
+
+
+def test_frames_that_nobody_takes_fill_no_memory() -> None:
+    gather = ByTime(2, RATE)
+    for c, blobs in sorted(free(1000, [0.0, 0.003]), key=lambda each: each[1].arrived):
+        gather.push(c, blobs)
+    assert [len(track.images) for track in gather._tracks] == [REMEMBERED, REMEMBERED]
+    assert len(list(gather.ready(math.inf))) == REMEMBERED

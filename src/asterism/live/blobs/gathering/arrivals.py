@@ -19,7 +19,7 @@ frame; twice as much makes each lost image hold its frame back for as much longe
 _LEAST_WAIT = 0.002
 """s that a camera is waited for at least: cameras whose images come in one packet are taken one after the other. Half of it is a pause of a
 busy machine, which would cost a frame its cameras; twice as much is what each lost image would hold its frame back for."""
-_AWAY = 2
+AWAY = 2
 """Frames in a row that a camera misses, after which it is not waited for until it is back. One image is lost now and then; each more holds
 all frames back by that camera's wait. With one, each lost image is told as a camera that fell silent; twice as many hold four frames
 back."""
@@ -97,5 +97,10 @@ class CameraArrivals:
     def missing(self) -> None:
         """A frame waited for it long enough."""
         self.missed += 1
-        if self.missed >= _AWAY and not self.away:
+        if self.missed >= AWAY:
+            self.falls_silent()
+
+    def falls_silent(self) -> None:
+        """It is not waited for any more, until it is back."""
+        if not self.away:
             self.away, self.times_away = True, self.times_away + 1

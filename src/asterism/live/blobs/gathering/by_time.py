@@ -10,7 +10,7 @@ import numpy as np
 
 from asterism.live.blobs.camera_clock import same_clock
 from asterism.live.blobs.following import FollowedImage, between, follow
-from asterism.live.blobs.gathering.arrivals import FEWEST, LONGEST_WAIT, REMEMBERED, CameraArrivals, RigFrame
+from asterism.live.blobs.gathering.arrivals import AWAY, FEWEST, LONGEST_WAIT, REMEMBERED, CameraArrivals, RigFrame
 from asterism.live.camera_frames import LiveBlobs
 from asterism.recording import Floats
 from asterism.synchronization.common_clock import RULES
@@ -69,9 +69,7 @@ class ByTime:
         if self._last is not None and at < self._last[1]:
             state.late += 1
         self._choose(blobs.arrived)
-        if camera == self._reference and at > self._newest + 0.5 * track.period:
-            self._instants.append(at)
-            self._newest = at
+        self._look_out()
         return at
 
     def ready(self, now: float) -> Iterator[RigFrame]:
@@ -161,6 +159,9 @@ class ByTime:
         if self._last is None and joined < len(self._tracks) and now < self._first + LONGEST_WAIT:
             # The first frame waits for cameras that begin a little later.
             return
+        if self._reference is not None and now > self._until(self._reference, self._newest + AWAY * self._period):
+            # Without its images there is no instant, and so no frame that shows that it is missing.
+            self.cameras[self._reference].falls_silent()
         there = [c for c in self._there() if self._tracks[c].images]
         gone = self._reference is None or self._reference not in there
         if not there or not (gone or now - self._chosen > 1.0):
@@ -175,6 +176,20 @@ class ByTime:
         best = min(waits, key=lambda c: waits[c])
         if gone or self._reference not in waits or waits[self._reference] - waits[best] > 0.25 * usual:
             self._reference, self._period = best, self._tracks[best].period
+            # Of the first images there are none before them.
+            self._newest = self._tracks[best].images[-1].time if math.isinf(self._newest) else self._newest
+
+    def _look_out(self) -> None:
+        """The instants of the reference's images that are new: of one that took another's place, those since that one fell silent, too."""
+        if self._reference is None:
+            return
+        track, new = self._tracks[self._reference], deque[float]()
+        for image in reversed(track.images):
+            if image.time <= self._newest + 0.5 * track.period:
+                break
+            new.appendleft(image.time)
+        self._instants.extend(new)
+        self._newest = new[-1] if new else self._newest
 
     def _part(self, cameras: list[int]) -> None:
         """Cameras whose clocks run apart share none."""
