@@ -139,7 +139,12 @@ REMEMBERED = 500
 
 @pytest.fixture(scope="session", autouse=True)
 def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
-    """The same points are held against all marker sets once, which takes up to a tenth of a second a frame, whichever doors ask."""
+    """The same points are held against all marker sets once, which takes up to a tenth of a second a frame, whichever doors ask.
+
+    Half of the time of the tests that label without a model went into it, so that what was found is kept for the next run, too.
+    """
+    from computed import computed
+
     from asterism.session.worn import find
 
     look, seen = find.fit_frame, dict[tuple[object, ...], Any]()
@@ -148,7 +153,7 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
         given = (points.tobytes(), points.shape, id(shapes), repr(rules))
         if given not in seen:
             # The shapes are kept, so that their number stays their own.
-            seen[given] = look(points, shapes, rules), shapes
+            seen[given] = computed(look, points, shapes, rules), shapes
             if len(seen) > REMEMBERED:
                 del seen[next(iter(seen))]
         return seen[given][0]

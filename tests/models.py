@@ -170,19 +170,24 @@ _AFTER = "labelling/live"
 _IMPORTS = re.compile(r"^[ \t]*(?:from|import)[ \t]+(asterism[\w.]*)(?:[ \t]+import[ \t]+(\([^)]*\)|[^\n]*))?", re.MULTILINE)
 
 
-@cache
 def _sources() -> bytes:
-    """The digest of all that can change a model: the modules that training imports, directly or not, without lines of comment.
+    """The digest of all that can change a model: the modules that training imports.
 
     A model of an older form of the file, or of other training, has another key: none is ever taken for a new one. What comes after
     training (streams, reviews, commands, pages) leaves kept models alone.
     """
+    return sources(Path(asterism.__file__).parent / "labelling" / "marker_model.py")
+
+
+@cache
+def sources(start: Path) -> bytes:
+    """The digest of a source and of the modules that it imports, directly or not, without lines of comment, and of the libraries."""
     package = Path(asterism.__file__).parent
     versions = (np.__version__, scipy.__version__, numba.__version__, platform.machine(), sys.version_info[:2])
     digest = hashlib.sha256(repr(versions).encode())
-    for source in sorted(_reached(package, package / "labelling" / "marker_model.py")):
+    for source in sorted(_reached(package, start)):
         lines = source.read_text(encoding="utf-8").splitlines()
-        digest.update(source.relative_to(package).as_posix().encode())
+        digest.update(os.path.relpath(source, package).replace(os.sep, "/").encode())
         digest.update("\n".join(line for line in lines if not line.lstrip().startswith("#")).encode())
     return digest.digest()
 

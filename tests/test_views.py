@@ -9,14 +9,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from computed import computed
 from counting import calls
 
+from asterism.cameras import Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.errors import AsterismError
 from asterism.files.journal import Journal
 from asterism.formats import read, write, write_blobs
-from asterism.recording import MarkerSet, Recording
+from asterism.recording import Blobs, MarkerSet, Recording
 from asterism.report.views import views_report
 from asterism.simulation import simulate_standing, simulate_walks
 from asterism.simulation.cameras import Capsules
@@ -31,7 +33,7 @@ from asterism.views.personal import PERSONAL
 from asterism.views.plain import label_stepwise, minimise_plain
 from asterism.views.result import ViewsLabelling
 from asterism.views.rig_fit import CameraAgreement
-from asterism.views.rules import QUICK, RULES
+from asterism.views.rules import QUICK, RULES, ViewsRules
 from asterism.views.scene import scene_of
 from asterism.views.sights import FROM_BOTH_SIDES
 
@@ -42,6 +44,11 @@ GAIT = MarkerSet.load("helen-hayes")
 def _half_as_many_frames(monkeypatch: pytest.MonkeyPatch) -> None:
     """The person is learned, and cameras compared, by half as many frames, each searched from nothing: fewer make nothing easier."""
     monkeypatch.setattr(label, "PERSONAL", replace(PERSONAL, frames=PERSONAL.frames // 2))
+
+
+def labels_of(blobs: Blobs, rig: Rig, body: ArticulatedBody | str, rules: ViewsRules = RULES) -> ViewsLabelling:
+    """What `label_views` gives; seconds for most recordings, so that it is worked out once for the same sources."""
+    return computed(label_views, blobs, rig, body, rules=rules, beside=label.PERSONAL)
 
 
 @cache
@@ -61,7 +68,7 @@ def session(cameras: int = 4) -> ViewsSession:
 @cache
 def labelled(cameras: int = 4) -> ViewsLabelling:
     given = session(cameras)
-    return label_views(given.blobs, given.rig, body_of_four())
+    return labels_of(given.blobs, given.rig, body_of_four())
 
 
 def right_and_wrong(result: ViewsLabelling, truth: ViewsSession) -> tuple[float, float]:
@@ -87,7 +94,7 @@ def people_before_two_cameras() -> tuple[tuple[ViewsSession, ViewsLabelling], ..
     """Two people whom labelling that hangs on its first frame gets wrong: 95 % and 10 % of the labels, at a confidence above 0.9."""
     walks = {(42, 0): simulate_walks(3, 90, seed=42)[0], (40, 1): simulate_walks(3, 90, seed=40)[1]}
     seen = [simulate_views(walk, body_of_four().labels, rng=np.random.default_rng([*key, 2]), cameras=2) for key, walk in walks.items()]
-    return tuple((each, label_views(each.blobs, each.rig, body_of_four())) for each in seen)
+    return tuple((each, labels_of(each.blobs, each.rig, body_of_four())) for each in seen)
 
 
 def test_a_wrong_start_before_two_cameras_gives_no_confident_wrong_labels() -> None:
@@ -143,7 +150,7 @@ def whole_body() -> tuple[ViewsSession, ViewsLabelling]:
     rng = np.random.default_rng([3, 77])
     recording, capsules = simulate_motion(load_body("body26"), 60, rng=rng)
     given = simulate_views(recording, recording.labels, rng=rng, body=capsules)
-    return given, label_views(given.blobs, given.rig, load_body("body26"), rules=QUICK)
+    return given, labels_of(given.blobs, given.rig, load_body("body26"), rules=QUICK)
 
 
 def test_a_whole_body_that_raises_its_arms_is_labelled_with_its_hands() -> None:
@@ -228,7 +235,7 @@ def standing_person(seed: int) -> ViewsSession:
 def test_a_person_who_stands_still_keeps_the_names_of_both_sides_of_a_wrist() -> None:
     """A marker that is sought elsewhere must not cost the wrists their names: the whole person's body is learned, which takes 5 s."""
     given = standing_person(0)
-    right, wrong = right_and_wrong(label_views(given.blobs, given.rig, "body26"), given)
+    right, wrong = right_and_wrong(labels_of(given.blobs, given.rig, "body26"), given)
     assert right > 0.98 and wrong < 0.002, f"{right:.4f} right, {wrong:.4f} wrong"
 
 
@@ -308,7 +315,7 @@ def test_a_rig_that_does_not_match_the_images_gets_no_label() -> None:
     renamed = type(given.rig)(
         tuple(type(c)(**{**c.__dict__, "name": n}) for c, n in zip(exchanged, names, strict=True)), vertical=given.rig.vertical
     )
-    result = label_views(given.blobs.frames(slice(0, 1)), renamed, body_of_four())
+    result = labels_of(given.blobs.frames(slice(0, 1)), renamed, body_of_four())
     assert (result.labels >= 0).mean() < 0.02
     assert "views-no-body" in [finding.code for finding in result.findings]
 
@@ -321,7 +328,7 @@ def test_a_camera_that_was_knocked_gets_no_labels_and_is_named() -> None:
     turn = np.linalg.svd(turn)[0] @ np.linalg.svd(turn)[2]
     knocked = replace(first, rotation=turn @ first.rotation, translation=turn @ first.translation)
     few = given.blobs.frames(slice(0, 40))
-    result = label_views(few, replace(given.rig, cameras=(knocked, *given.rig.cameras[1:])), body_of_four())
+    result = labels_of(few, replace(given.rig, cameras=(knocked, *given.rig.cameras[1:])), body_of_four())
     identity = given.identity[: len(few.xy)]
     assert [finding.where for finding in result.findings if finding.code == "views-camera-misfit"] == [first.name]
     assert (result.labels[few.camera_of == 0] == -1).all()
@@ -333,7 +340,7 @@ def without(*markers: str) -> ViewsLabelling:
     """A few frames of the walk by somebody who does not wear these markers."""
     given, labels = session(), body_of_four().labels
     worn = ~np.isin(given.identity, [labels.index(name) for name in markers])
-    return label_views(given.blobs.select(worn).frames(slice(0, 8)), given.rig, body_of_four())
+    return labels_of(given.blobs.select(worn).frames(slice(0, 8)), given.rig, body_of_four())
 
 
 def test_markers_that_are_not_worn_are_said_and_where_they_are_many_no_label_is_given() -> None:
@@ -345,7 +352,7 @@ def test_markers_that_are_not_worn_are_said_and_where_they_are_many_no_label_is_
 @pytest.mark.slow
 def test_another_body_gets_no_label() -> None:
     given = session()
-    other = label_views(given.blobs.frames(slice(0, 10)), given.rig, load_body("body26"))
+    other = labels_of(given.blobs.frames(slice(0, 10)), given.rig, load_body("body26"))
     assert (other.labels == -1).all() and "views-no-body" in [finding.code for finding in other.findings]
 
 
@@ -371,7 +378,7 @@ def test_a_mirrored_body_and_one_with_exchanged_names_are_refused() -> None:
 def test_a_camera_without_blobs_is_said_and_the_others_are_labelled() -> None:
     given = session()
     dark = given.blobs.select(given.blobs.camera_of != 1)
-    result = label_views(dark.frames(slice(0, 15)), given.rig, body_of_four())
+    result = labels_of(dark.frames(slice(0, 15)), given.rig, body_of_four())
     assert "views-empty-camera" in [finding.code for finding in result.findings]
     assert (result.labels >= 0).mean() > 0.75
 
@@ -379,14 +386,14 @@ def test_a_camera_without_blobs_is_said_and_the_others_are_labelled() -> None:
 def test_blobs_of_one_camera_alone_are_not_labelled() -> None:
     given = session()
     alone = given.blobs.select(given.blobs.camera_of == 1).frames(slice(0, 10))
-    result = label_views(alone, given.rig, body_of_four())
+    result = labels_of(alone, given.rig, body_of_four())
     assert (result.labels == -1).all() and "views-no-body" in [finding.code for finding in result.findings]
 
 
 def test_no_blobs_at_all_give_no_labels() -> None:
     given = session()
     empty = given.blobs.select(np.zeros(len(given.blobs.xy), dtype=bool)).frames(slice(0, 5))
-    result = label_views(empty, given.rig, body_of_four())
+    result = labels_of(empty, given.rig, body_of_four())
     assert len(result.labels) == 0 and np.isnan(result.positions).all()
 
 
@@ -562,7 +569,7 @@ def test_the_demo_reaches_what_it_promises(tmp_path: Path, capsys: pytest.Captur
 def quick() -> ViewsLabelling:
     """Twelve frames of the walk."""
     given = session()
-    return label_views(given.blobs.frames(slice(0, 12)), given.rig, body_of_four(), rules=QUICK)
+    return labels_of(given.blobs.frames(slice(0, 12)), given.rig, body_of_four(), rules=QUICK)
 
 
 def test_labels_that_were_broken_off_go_on_and_come_out_the_same(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 import pytest
+from computed import computed
 from scipy.spatial.transform import Rotation
 
 from asterism.cameras import Rig
@@ -14,7 +15,7 @@ from asterism.recording import Blobs, Floats, Ints
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, simulate_blobs
 from asterism.simulation.views_laboratory import ViewsSession, simulate_views
-from asterism.skeleton import load_body
+from asterism.skeleton import ArticulatedBody, load_body
 from asterism.views import ViewsLabelling, label, label_views
 from asterism.views.detection import detection_shares
 from asterism.views.lateness import in_step
@@ -34,6 +35,11 @@ def _half_as_many_frames(monkeypatch: pytest.MonkeyPatch) -> None:
 def walk(cameras: int = 4) -> ViewsSession:
     trial = simulate_walks(1, 90, seed=3)[0]
     return simulate_views(trial, BODY.labels, rng=np.random.default_rng(0), cameras=cameras)
+
+
+def labels_of(blobs: Blobs, rig: Rig, body: ArticulatedBody) -> ViewsLabelling:
+    """What `label_views` gives; up to ten seconds, so that it is worked out once for the same sources."""
+    return computed(label_views, blobs, rig, body, beside=label.PERSONAL)
 
 
 def turned(rig: Rig, degrees: float, cameras: tuple[int, ...], seed: int) -> Rig:
@@ -62,9 +68,9 @@ def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
     given = walk()
     kept = np.isin(given.blobs.camera_of, seeing)
     blobs, identity = given.blobs.select(kept), given.identity[kept]
-    right, sure, wrong = right_and_sure(label_views(blobs, given.rig, BODY), identity)
+    right, sure, wrong = right_and_sure(labels_of(blobs, given.rig, BODY), identity)
     names = [given.rig.names[c] for c in seeing]
-    alone = label_views(blobs.select_cameras(names), given.rig.select(names), BODY)
+    alone = labels_of(blobs.select_cameras(names), given.rig.select(names), BODY)
     assert right == pytest.approx(right_and_sure(alone, identity)[0], abs=0.03) and right > 0.95
     assert wrong <= 0.005 * sure
 
@@ -72,7 +78,7 @@ def test_cameras_without_blobs_count_as_absent(seeing: tuple[int, ...]) -> None:
 @pytest.mark.parametrize(("degrees", "moved"), [(1.0, (1,)), pytest.param(0.3, (0, 1, 2), marks=pytest.mark.slow)])
 def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels(degrees: float, moved: tuple[int, ...]) -> None:
     given = walk(3)
-    result = label_views(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, moved, 7), BODY)
+    result = labels_of(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, moved, 7), BODY)
     right, sure, wrong = right_and_sure(result, given.identity[: len(result.labels)])
     assert right >= 0.97 and wrong <= 0.002 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
     assert "views-rig-inexact" in codes(result) and "views-camera-misfit" not in codes(result), f"{codes(result)}"
@@ -82,7 +88,7 @@ def test_a_rig_that_is_a_little_off_is_said_and_costs_no_labels(degrees: float, 
 def test_two_cameras_of_which_one_was_moved_are_said_to_contradict_each_other(degrees: float) -> None:
     """That a right rig of two cameras has no finding is asked where the walk of two cameras is labelled."""
     given = walk(2)
-    result = label_views(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, (1,), 3), BODY)
+    result = labels_of(given.blobs.frames(slice(0, 45)), turned(given.rig, degrees, (1,), 3), BODY)
     _, sure, wrong = right_and_sure(result, given.identity[: len(result.labels)])
     assert codes(result) & {"views-rig-inexact", "views-camera-misfit"}, f"{codes(result)}"
     # Lines of sight that miss each other by where a marker is, and not by how it moves, are not those of a late camera.
@@ -109,7 +115,7 @@ def test_how_many_blobs_a_camera_loses_is_told_without_labels(kept: float) -> No
 def test_blobs_that_are_lost_at_random_cost_few_labels_and_are_said() -> None:
     given = walk(2)
     kept = np.random.default_rng(8).random(len(given.identity)) < 0.75
-    result = label_views(given.blobs.select(kept), given.rig, BODY)
+    result = labels_of(given.blobs.select(kept), given.rig, BODY)
     right, sure, wrong = right_and_sure(result, given.identity[kept])
     assert right > 0.85 and wrong <= 0.01 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
     assert "views-blobs-missing" in codes(result) and result.detected == pytest.approx([0.77, 0.77], abs=0.1)
@@ -137,7 +143,7 @@ def test_a_person_who_lies_is_labelled_right(turn: tuple[int, int, int]) -> None
     places = lying(given.recording.positions[::6], Rotation.from_rotvec(np.radians(turn)).as_matrix())
     settings = ImagingSettings(noise=0.5, strays=2.0)
     blobs, identity = simulate_blobs(given.rig, places, settings, rng=np.random.default_rng(3), rate=60.0)
-    right, sure, wrong = right_and_sure(label_views(blobs, given.rig, BODY), identity)
+    right, sure, wrong = right_and_sure(labels_of(blobs, given.rig, BODY), identity)
     assert right > 0.8 and wrong <= 0.02 * sure, f"{right:.3f} right, {wrong} of {sure} sure labels are wrong"
 
 
@@ -146,7 +152,7 @@ def test_mirrored_images_are_named_and_give_no_label() -> None:
     blobs = given.blobs.frames(slice(0, 8))
     xy, own = blobs.xy.copy(), blobs.camera_of == 1
     xy[own, 0] = given.rig.cameras[1].size[0] - 1 - xy[own, 0]
-    result = label_views(replace(blobs, xy=xy), given.rig, BODY)
+    result = labels_of(replace(blobs, xy=xy), given.rig, BODY)
     named = [finding.where for finding in result.findings if finding.code == "views-images-mirrored"]
     assert named == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
     assert (result.labels == -1).all() and result.confidence.max() < 0.9
@@ -185,7 +191,7 @@ def test_a_camera_that_is_late_is_named_and_labelled_in_the_frames_that_it_shows
     monkeypatch.setattr(label, "PERSONAL", PERSONAL)
     given = walk(cameras)
     blobs, identity = later(given.blobs, given.identity, int(frames > 0), abs(frames))
-    result = label_views(blobs, given.rig, BODY)
+    result = labels_of(blobs, given.rig, BODY)
     late = [finding for finding in result.findings if finding.code == "views-camera-late"]
     assert [finding.where for finding in late] == [given.rig.names[1]], f"{[str(finding) for finding in result.findings]}"
     assert f"{abs(frames):.1f} frames {'late' if frames > 0 else 'early'}" in late[0].sentence, late[0].sentence
