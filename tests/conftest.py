@@ -163,6 +163,26 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def trials_tried_once(kept_virtual_people: None) -> Iterator[None]:
+    """A training tries each group of people left out once for the same people, rules and sources, whichever test trains."""
+    import kept_trials
+
+    from asterism.labelling.training import learning
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(learning, "_try_group", kept_trials.try_group)
+        yield
+
+
+@pytest.fixture
+def trials_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+    """For tests that hold one training against another of the same recordings."""
+    import kept_trials
+
+    monkeypatch.setattr("asterism.labelling.training.learning._try_group", kept_trials.anew)
+
+
 @pytest.fixture
 def without_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sessions begin no process of studies: for tests of a whole session that are about something else.
