@@ -557,14 +557,14 @@ def test_the_page_tells_what_the_command_tells_with_what_to_do() -> None:
         "before a frame all is wanted"
     )
     session.run()
-    session.recorder = cast(Any, SimpleNamespace(problem="x.live: recording ended."))
+    session.recorder = cast(Any, SimpleNamespace(problem="x.live: recording ended.", mend="Leave it there."))
     session.watch = watch = SessionWatch("x", timed=False)
     far = LiveFrame(0, 0.0, 0.0, 1000.0 * leg(120))
     for judged in range(3):
         for _ in range(20):
             watch.add(LabelledFrame(far, np.full(4, -1), np.zeros(4), ("A", "B", "C", "D"), 0.0), 1.0)
         told = live_page._plain_health(session, live_page.ToPage())
-        assert told["notes"] == ["x: no unit. Look."] and told["problems"][0].startswith("x.live: recording ended. Make space")
+        assert told["notes"] == ["x: no unit. Look."] and told["problems"][0].startswith("x.live: recording ended. Leave it there.")
         assert len(told["problems"]) == (2 if judged == 0 else 3), "a person may just walk in"
     # What goes missing is said in words where it is more than now and then.
     page = live_page.ToPage()

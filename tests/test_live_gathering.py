@@ -376,13 +376,13 @@ def test_images_of_one_instant_need_no_path_and_wait_for_no_other() -> None:
     assert max(out - 50.0 - frame.time for out, frame in frames[2:]) == pytest.approx(0.002)
 
 
-def test_an_image_with_the_time_of_the_one_before_is_late() -> None:
+def test_an_image_with_the_time_of_the_one_before_is_told() -> None:
     gather = ByTime(2, RATE)
     for c, blobs in free(40, [0.0, 0.003]):
         assert gather.push(c, blobs) is not None
     for more, earlier in ((1, 0.0), (2, 0.1)):
         assert gather.push(1, image(1, blobs.number + more, blobs.time - earlier, 51.0)) is None
-    assert gather.cameras[1].late == 2 and gather.cameras[1].count.received == blobs.number + 3
+    assert gather.cameras[1].untimed == 2 and gather.cameras[1].count.received == blobs.number + 3
 
 
 def test_images_of_a_free_camera_that_come_after_their_frame_went_on_are_told() -> None:

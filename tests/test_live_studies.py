@@ -19,7 +19,7 @@ from asterism.errors import AsterismError
 from asterism.files.processes import FreeCores
 from asterism.labelling.live import study_process
 from asterism.labelling.live.stream import FrameLabels, Stream, _Frame, _RefinedLabelling
-from asterism.labelling.live.study import StreamFrames, Study, StudyPlan, StudyRules
+from asterism.labelling.live.study import LEAST_CHANCE, StreamFrames, Study, StudyPlan, StudyRules
 from asterism.labelling.live.study_process import StudyProcess, make_studies
 from asterism.labelling.live.study_worker import StudyWorker
 from asterism.labelling.live.tracks import TrackEvidence
@@ -179,9 +179,11 @@ def test_a_doubt_of_a_study_takes_back_a_label_and_a_study_that_is_sure_gives_it
         return run(model.stream(RATE, 0, studies=Told(tell)), clouds)[-1]
 
     found = run(model.stream(RATE), clouds)
-    doubted, sure = of_stream(False, 0.3), of_stream(True, 0.9999)
-    assert (found[-1].indices >= 0).all() and (doubted.confidence < found[-1].confidence).all() and (doubted.indices < 0).any()
-    assert (sure.indices == found[-1].indices).all() and (sure.confidence >= 0.9999).all()
+    doubted, taken_back, sure = of_stream(False, 0.3), of_stream(False, 0.001), of_stream(True, 1.0)
+    assert (found[-1].indices >= 0).all() and (doubted.confidence < found[-1].confidence).all()
+    assert (taken_back.confidence < doubted.confidence).all() and (taken_back.indices < 0).any()
+    # Two that name one marker, as sure of it as can be, are surer together.
+    assert (sure.indices == found[-1].indices).all() and (sure.confidence > 1.0 - LEAST_CHANCE).all()
 
 
 def test_a_rival_labelling_must_outweigh_what_a_study_gave(walks, model) -> None:

@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from models import trained
 
-from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion
+from asterism.labelling.whole import short
+from asterism.labelling.whole.short import ShortTrackletRules, expect_by_motion, label_short_points
 from asterism.recording import NULL, Ints
+from asterism.simulation import simulate_walks
 
 RULES = ShortTrackletRules(acceleration=20.0, noise=0.003, max_spread=0.15)
 
@@ -50,3 +55,19 @@ def test_a_long_gap_expects_nothing_in_its_middle() -> None:
     assert near[[1, 9, 16, 24]].all()
     assert not near[[10, 12, 15]].any()
     assert np.isfinite(expected({0: [0, 25]}, 26, rate=200.0).spread[1:25, 0]).all(), "at twice the rate the gap is half as long"
+
+
+def test_few_frames_that_are_labelled_by_themselves_are_searched_longer(monkeypatch) -> None:
+    walks = simulate_walks(subjects=3, frames=60, seed=2)
+    labeller = trained(walks[:2], miner=None).body_labeller
+    hasty = replace(labeller, settings=labeller.settings._replace(max_evaluations=10))
+    clouds = walks[2].frames(slice(2)).clouds()
+    none, every = np.full(30, NULL), np.ones(30, dtype=np.bool_)
+
+    def labelled() -> int:
+        return int((label_short_points(hasty, hasty.body, clouds, clouds.xyz, every, none, RULES).label != NULL).sum())
+
+    assert labelled() == 30
+    # Of many frames each has its share only.
+    monkeypatch.setattr(short, "ALONE_EVALUATIONS", 20)
+    assert labelled() == 0

@@ -168,11 +168,15 @@ class InOwnThread:
 
 
 class ToLines:
-    """Writes each frame as a line of JSON; on_left is called where who read them is gone, as `head` is after its lines."""
+    """Writes each frame as a line of JSON.
+
+    on_left  called where who read them is gone, as `head` is after its lines: they want no more, and nothing is lost. None where frames go
+             elsewhere, too, and the session goes on: those that are not written are counted
+    """
 
     name = "--lines"
 
-    def __init__(self, stream: TextIO | None = None, on_left: Callable[[], None] = lambda: None) -> None:
+    def __init__(self, stream: TextIO | None = None, on_left: Callable[[], None] | None = None) -> None:
         self._stream, self.on_left = stream or sys.stdout, on_left
 
     def send(self, frame: AnalysedFrame) -> None:
@@ -181,8 +185,9 @@ class ToLines:
             self._stream.write(labels_as_json(frame).decode() + "\n")
             self._stream.flush()
         except BrokenPipeError:
+            if self.on_left is None:
+                raise
             self.on_left()
-            raise
 
     def close(self) -> None:
         """Nothing is kept back."""

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import threading
 import time
-from dataclasses import replace
 from pathlib import Path
 
 from asterism.errors import AsterismError
@@ -68,8 +67,8 @@ class Replay:
     def __init__(self, path: Path, *, speed: float = 1.0, loop: bool = False, stream: str | None = None) -> None:
         self._playback = Playback(speed)
         recording = read(path, stream=stream)
-        told = [each for each in recording.metadata.get("findings", ()) if each.severity > Severity.NOTE or each.code in _TOLD]
-        self._findings = [replace(each, where=path.name, sentence=f"{path.name}: {each.sentence}") for each in told]
+        told = recording.metadata.get("findings", ())
+        self._findings = [each for each in told if each.severity > Severity.NOTE or each.code in _TOLD]
         self._clouds = recording.clouds()
         if not len(self._clouds):
             raise AsterismError(f"{path} has no frame; there is nothing to play.")

@@ -458,14 +458,13 @@ def _told(session: LiveSession, page: ToPage, health: Health) -> tuple[list[Find
     with contextlib.suppress(RuntimeError):
         found = own_findings([session.source, session, session.analysis, session.feedback])
         now = [] if session.watch is None else list(session.watch.now)
-        lost = str(getattr(session.recorder, "problem", ""))
-        if lost:
-            now.append(
-                Finding("live-not-recorded", Severity.ERROR, session.source.about.name, lost, "Make space, or record to another disk.")
-            )
+        if lost := str(getattr(session.recorder, "problem", "")):
+            mend = str(getattr(session.recorder, "mend", ""))
+            now.append(Finding("live-not-recorded", Severity.ERROR, session.source.about.name, lost, mend))
         # A source that sends nothing says in a note what to press.
         comes, goes_missing = bool(health.frames), page.missing(health)
         now += [each for each in session_findings(health, session.source.about.name, None, [session.source]) if each.code in goes_missing]
+        found = [finding for finding in found if finding.code not in goes_missing]
         acts = [*now, *(finding for finding in found if finding.severity > Severity.NOTE or not comes)]
         return sorted(acts, key=lambda finding: -finding.severity), [finding for finding in found if finding not in acts]
     return [], []

@@ -66,6 +66,8 @@ class StreamRules:
     max_ghost_evidence independent frames that count at most for whether a track is a marker or a ghost that moves with the body
     ghost_margin_loss  nats that a margin loses where points are left over, as a ghost that moves with the body fits frame after frame
     log_odds_scale     nats of what then remains that make one unit of log odds
+    agreement          log odds that a label gains where a study names the same marker. Chosen on 94 stretches, 75 of them labelled by
+                       virtual people: at double up to 0.14 points more are right and 0.03 wrong, at half 0.09 and 0.01 fewer
     takeover_margin    nats by which a labelling from a search must be better, summed over independent frames, to take over; more by what
                        studies gave for labels that it changes
     marker_frames      frames after which a track is held for no flickering point where it has a label
@@ -84,6 +86,7 @@ class StreamRules:
     ghost_margin_loss: float = 3.0
     log_odds_scale: float = 3.3
     takeover_margin: float = 5.0
+    agreement: float = 0.3
     lost: float = 0.1
     marker_frames: float = 1.5
     ghost_frames: float = 2.5
@@ -521,21 +524,19 @@ class Stream:
     def _with_study(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
         """How certain labels (M,) are, in the light of what a study said of their tracks.
 
-        Where both give a label, each knows what the other does not: the surer one holds. A study that doubts it, or gives another one,
-        counts by the time that it rests on, beside the stream's, whose evidence decays.
+        The stream and the study err in part in the same frames: so the mean of what both say counts, as log odds, and a little more where
+        both name one marker. Of a study that gives the track another label, it counts how improbable that is.
         """
         if not len(rows):
             return certainty
-        of, frames = rows[point_of], self._tracks.known_for
+        of = rows[point_of]
         studied, given, chance = self._tracks.studied[of], self._tracks.given[of], self._tracks.chance[of]
-        same, labelled = studied == np.arange(len(point_of)), point_of >= 0
-        certainty = np.where(labelled & same & given, np.maximum(certainty, chance), certainty)
-        doubted = np.nonzero(labelled & (studied >= 0) & (same != given))[0]
-        if len(doubted):
-            said = np.where(same[doubted], chance[doubted], 1.0 - chance[doubted])
-            own, found = logit(np.clip([certainty[doubted], said], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
-            share = frames / (frames + self._rules.evidence_memory * self.rate)
-            certainty[doubted] = np.minimum(certainty[doubted], expit((1.0 - share) * own + share * found))
+        same = studied == np.arange(len(point_of))
+        told = np.nonzero((point_of >= 0) & (studied >= 0) & (same | given))[0]
+        if len(told):
+            said = np.where(same, chance, 1.0 - chance)[told]
+            own, found = logit(np.clip([certainty[told], said], LEAST_CHANCE, 1.0 - LEAST_CHANCE))
+            certainty[told] = expit(0.5 * (own + found) + np.where(same[told], self._rules.agreement, 0.0))
         return certainty
 
     def _margins(self, rows: Ints, scores: Floats, limited: Floats, point_of: Ints) -> Floats:

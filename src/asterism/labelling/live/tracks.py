@@ -33,7 +33,6 @@ class TrackEvidence:
     studied      (rows,) the marker that a study found for the track, -1 where none has
     given        (rows,) whether that marker is its label; not for a candidate
     chance       (rows,) the study's probability that this marker is right
-    known_for    frames that the last study had
     """
 
     def __init__(self, markers: int, rules: LinkRules, rate: float, decay: float, independent: float) -> None:
@@ -46,7 +45,6 @@ class TrackEvidence:
         self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NULL, dtype=np.int64)
         self.seen, self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size, dtype=np.bool_), np.zeros(size)
         self._free, self._serials = list(range(size)), 0
-        self.known_for = 0
         self.current = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -171,7 +169,6 @@ class TrackEvidence:
 
         log_odds_scale: nats that make one unit of log odds.
         """
-        self.known_for = study.frames
         if not len(study.serials):
             return
         place = np.minimum(np.searchsorted(study.serials, self.serial), len(study.serials) - 1)

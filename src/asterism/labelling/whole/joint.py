@@ -19,7 +19,7 @@ from itertools import zip_longest
 
 import numpy as np
 
-from asterism.labelling.body.labeller import BodyLabeller
+from asterism.labelling.body.labeller import MOST_EVALUATIONS, BodyLabeller
 from asterism.labelling.body.model import BodyModel, BodyRules
 from asterism.labelling.body.subject import SubjectRules, adapt_body, shows_enough
 from asterism.labelling.whole._kernels import FrameScores, margins_of, overlaps, rivals_weight, sum_scores
@@ -32,11 +32,6 @@ from asterism.labelling.whole.turned import HeldLabels, hold_against_twins
 from asterism.labelling.whole.upright import turned, upright_turns
 from asterism.progress import Progress
 from asterism.recording import NULL, Floats, Ints
-
-VOTING_EVALUATIONS = 2_000_000
-"""Feature evaluations of a frame that votes, at most, ten times those of a frame by itself: the votes of few frames begin all labels.
-Chosen on 39 markers of virtual people among 78 points: with a quarter of them no anchor comes to an end, twice as many change nothing. With
-a tenth, 73 markers without a ghost are not found either. Most frames need a hundredth."""
 
 CROWDED_SEARCH = {"votes_needed": 1, "max_votes_needed": 1, "extra_anchors": 1, "proposals_per_anchor": 2}
 """The search for the first votes where frames show many ghosts (`RecordingLabellingSettings.crowded`): many frames vote, and labelling them
@@ -203,7 +198,7 @@ def _votes_of_one(
 ) -> Floats:
     """The votes of the sampled frames, labelled singly, for each tracklet: (J, M) nats."""
     crowd = np.diff(scene.sampled_offsets).mean() / labeller.body.mean.shape[1] if len(scene.sampled_frames) else 0.0
-    search = {"max_evaluations": VOTING_EVALUATIONS, **(CROWDED_SEARCH if crowd > rules.crowded else {})}
+    search = {"max_evaluations": MOST_EVALUATIONS, **(CROWDED_SEARCH if crowd > rules.crowded else {})}
     labeller = replace(labeller, settings=labeller.settings._replace(**search))
     frames = voting_frames(scene, rules)
     points = np.nonzero(np.isin(scene.sampled_frame, frames))[0]

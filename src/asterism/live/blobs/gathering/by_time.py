@@ -53,7 +53,7 @@ class ByTime:
         if state.clock.jumps > jumps:
             self._leave(camera)
         if track.stamps and blobs.time <= track.stamps[-1][1]:
-            state.late += 1
+            state.untimed += 1
             return None
         track.stamps.append((blobs.number, blobs.time))
         if not track.joined:
