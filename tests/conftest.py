@@ -164,23 +164,21 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
 
 
 @pytest.fixture(scope="session", autouse=True)
-def trials_tried_once(kept_virtual_people: None) -> Iterator[None]:
-    """A training tries each group of people left out once for the same people, rules and sources, whichever test trains."""
-    import kept_trials
+def parts_of_trainings_kept(kept_virtual_people: None) -> Iterator[None]:
+    """A training takes its dear parts from the disk where the same people, rules and sources have given them, whichever test trained."""
+    from kept_training import parts_kept
 
-    from asterism.labelling.training import learning
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(learning, "_try_group", kept_trials.try_group)
+    with parts_kept():
         yield
 
 
 @pytest.fixture
-def trials_anew(monkeypatch: pytest.MonkeyPatch) -> None:
+def training_anew() -> Iterator[None]:
     """For tests that hold one training against another of the same recordings."""
-    import kept_trials
+    from kept_training import parts_anew
 
-    monkeypatch.setattr("asterism.labelling.training.learning._try_group", kept_trials.anew)
+    with parts_anew():
+        yield
 
 
 @pytest.fixture
