@@ -283,6 +283,17 @@ def test_no_image_is_used_across_a_hole_in_its_camera() -> None:
     assert gather.cameras[1].times_away == 1 and not gather.cameras[1].away
 
 
+def test_an_image_that_is_lost_takes_no_frame_with_it() -> None:
+    """Nor one of the camera at whose instants frames are made, which is the first here."""
+    images = [(c, b) for c, b in free(200, [0.0, 0.003, 0.006]) if c or b.number % 20]
+    gather = ByTime(3, RATE)
+    frames = driven(gather, images)
+    assert gather._reference == 0 and [frame.number for _, frame in frames] == list(range(len(frames))) and len(frames) >= 175
+    assert max(misses(frame, frame.time) for _, frame in frames[5:]) < 0.2
+    assert np.diff([frame.time for _, frame in frames]) == pytest.approx(1 / RATE)
+    assert max(out - (50.0 + frame.time) for out, frame in frames) < 0.0175
+
+
 @pytest.mark.parametrize("dead", [0, 1])
 def test_a_free_camera_that_dies_takes_no_frame_with_it(dead: int) -> None:
     """Not even the one at whose instants frames are made, which is the first here."""
