@@ -12,6 +12,7 @@ import hashlib
 import inspect
 import os
 import pickle
+import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
@@ -45,7 +46,7 @@ def computed(function: Callable[..., R], *given: Any, beside: object = None, **s
         return value
     value = function(*given, **settings)
     # Written under another name and renamed, so that no other worker reads half of it.
-    part = path.with_suffix(f".{os.getpid()}")
+    part = path.with_suffix(f".{os.getpid()}-{threading.get_ident()}")
     part.write_bytes(pickle.dumps(value, protocol=5))
     part.replace(path)
     return value

@@ -163,6 +163,24 @@ def frames_looked_at_once(kept_virtual_people: None) -> Iterator[None]:
         yield
 
 
+@pytest.fixture(scope="session", autouse=True)
+def parts_of_trainings_kept(kept_virtual_people: None) -> Iterator[None]:
+    """A training takes its dear parts from the disk where the same people, rules and sources have given them, whichever test trained."""
+    from kept_training import parts_kept
+
+    with parts_kept():
+        yield
+
+
+@pytest.fixture
+def training_anew() -> Iterator[None]:
+    """For tests that hold one training against another of the same recordings."""
+    from kept_training import parts_anew
+
+    with parts_anew():
+        yield
+
+
 @pytest.fixture
 def without_studies(monkeypatch: pytest.MonkeyPatch) -> None:
     """Sessions begin no process of studies: for tests of a whole session that are about something else.

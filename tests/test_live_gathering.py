@@ -283,6 +283,17 @@ def test_no_image_is_used_across_a_hole_in_its_camera() -> None:
     assert gather.cameras[1].times_away == 1 and not gather.cameras[1].away
 
 
+def test_an_image_that_is_lost_takes_no_frame_with_it() -> None:
+    """Nor one of the camera at whose instants frames are made, which is the first here."""
+    images = [(c, b) for c, b in free(200, [0.0, 0.003, 0.006]) if c or b.number % 20]
+    gather = ByTime(3, RATE)
+    frames = driven(gather, images)
+    assert gather._reference == 0 and [frame.number for _, frame in frames] == list(range(len(frames))) and len(frames) >= 175
+    assert max(misses(frame, frame.time) for _, frame in frames[5:]) < 0.2
+    assert np.diff([frame.time for _, frame in frames]) == pytest.approx(1 / RATE)
+    assert max(out - (50.0 + frame.time) for out, frame in frames) < 0.0175
+
+
 @pytest.mark.parametrize("dead", [0, 1])
 def test_a_free_camera_that_dies_takes_no_frame_with_it(dead: int) -> None:
     """Not even the one at whose instants frames are made, which is the first here."""
@@ -376,13 +387,13 @@ def test_images_of_one_instant_need_no_path_and_wait_for_no_other() -> None:
     assert max(out - 50.0 - frame.time for out, frame in frames[2:]) == pytest.approx(0.002)
 
 
-def test_an_image_with_the_time_of_the_one_before_is_late() -> None:
+def test_an_image_with_the_time_of_the_one_before_is_told() -> None:
     gather = ByTime(2, RATE)
     for c, blobs in free(40, [0.0, 0.003]):
         assert gather.push(c, blobs) is not None
     for more, earlier in ((1, 0.0), (2, 0.1)):
         assert gather.push(1, image(1, blobs.number + more, blobs.time - earlier, 51.0)) is None
-    assert gather.cameras[1].late == 2 and gather.cameras[1].count.received == blobs.number + 3
+    assert gather.cameras[1].untimed == 2 and gather.cameras[1].count.received == blobs.number + 3
 
 
 def test_images_of_a_free_camera_that_come_after_their_frame_went_on_are_told() -> None:

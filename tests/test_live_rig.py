@@ -18,14 +18,16 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from waiting import until
 
 from asterism import AsterismError
 from asterism.cameras import Camera, Rig
 from asterism.cameras.files import write_rig
 from asterism.cli import main
 from asterism.formats.csv_blobs import read_blobs, write_blobs
-from asterism.live import HostPort, LiveFrame, SourceEnded, recording_of
+from asterism.live import Health, HostPort, LiveFrame, SourceEnded, recording_of, session_findings
 from asterism.live.blobs import JsonBlobs, ReplayBlobs, RigProcess, RigSource, blobs_as_json, blobs_of_json
+from asterism.live.blobs.sources import why_no_blobs
 from asterism.live.camera_frames import LiveBlobs
 from asterism.reconstruction import ReconstructionSettings, Reconstructor, reconstruct
 from asterism.reconstruction.rays import frame_to_rays, to_rays
@@ -463,8 +465,47 @@ def test_damaged_blobs_give_an_image_or_none(data: st.DataObject) -> None:
      b'{"camera":"c","frame":1,"time":0,"blobs":[[[1],[2]]]}',
      b'{"camera":"c","frame":1,"time":0,"blobs":[' + b",".join([b"[1,2]"] * 2001) + b"]}"],
 )  # fmt: skip
-def test_what_are_no_blobs_is_none(data: bytes) -> None:
-    assert blobs_of_json(data, 0.0) is None
+def test_what_are_no_blobs_is_none_and_said(data: bytes) -> None:
+    assert blobs_of_json(data, 0.0) is None and why_no_blobs(data)
+
+
+def test_who_sends_something_else_than_blobs_is_told_what_is_wrong() -> None:
+    source = JsonBlobs(PORTS, ["c1"])
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as sender:
+        sender.sendto(b'{"camera":"c1","frame":1,"time":0,"points":[[1,2]]}', ("127.0.0.1", source.port))
+        until(lambda: source.read(0.02) is None and source.damaged == 1)
+    (finding,) = source.findings()
+    assert finding.code == "live-format"
+    assert '1 packet could not be read; of the first, it has no "blobs", but "camera", "frame", "time", "points".' in finding.sentence
+    source.close()
+
+
+@pytest.mark.parametrize(
+    ("stamps", "said"),
+    [
+        (lambda n: (0, n / RATE), "the number of an earlier one"),
+        (lambda n: (n, 1000 * n / RATE), "do not go as a clock does"),
+        (lambda n: (n, 0.0), "do not go as a clock does"),
+    ],
+    ids=["numbers stand still", "ms", "no times"],
+)
+def test_cameras_with_stamps_that_are_none_are_told_where_no_frame_is_made_of_them(stamps: Callable, said: str) -> None:
+    """Of cameras that run freely: all of them, and one of three."""
+    for wrong in (3, 1):
+        came = [
+            LiveBlobs(f"c{c}", *(stamps(n) if c <= wrong else (n, n / RATE)), 50.0 + n / RATE, np.ones((1, 2)), np.ones(1))
+            for n in range(60)
+            for c in (1, 2, 3)
+        ]
+        free = Played(came, ("c1", "c2", "c3"))
+        free.numbered_together = False
+        source = RigSource(free, ring(3), waits=True)
+        frames = frames_of(source)
+        assert bool(frames) == (wrong == 1)
+        (finding,) = [each for each in source.findings() if each.code == "live-camera-stamps"]
+        assert said in finding.sentence and finding.where == ("c1, c2, c3" if wrong == 3 else "c1")
+        assert not {"live-camera-late", "live-camera-clock"} & told(source)
+        assert "live-silent" not in {each.code for each in session_findings(Health(), "x", parts=[source])}
 
 
 def test_what_is_played_faster_keeps_its_rate(tmp_path: Path) -> None:

@@ -271,6 +271,7 @@ def test_whatever_comes_in_the_answer_is_well_formed(model, seed, counts):
 # --- training
 
 
+@pytest.mark.usefixtures("training_anew")
 def test_the_same_recordings_and_seed_give_the_same_model(few, saved, tmp_path):
     MarkerModel.fit(few, **QUICKEST).save(tmp_path / "again.model")
     assert (tmp_path / "again.model").read_bytes() == saved.read_bytes()

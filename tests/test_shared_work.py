@@ -21,6 +21,8 @@ from asterism.recording import Recording
 from asterism.session import each_of
 from asterism.simulation import simulate_walks
 
+pytestmark = pytest.mark.usefixtures("training_anew")
+
 QUICK: dict[str, Any] = {
     "training": TrainingRules(virtual_people=0, trial_frames=6, min_trial_frames=6, stretch_frames=40, stretches=1, frames_per_person=60)
 }

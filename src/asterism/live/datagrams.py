@@ -9,7 +9,7 @@ import socket
 import struct
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from typing import Any
@@ -30,6 +30,8 @@ _METRES = {"m": 1.0, "cm": 0.01, "mm": 0.001}
 """Metres of each unit that a sender may say."""
 LARGEST_NUMBER = 2**53
 """The largest number of a frame: JSON of some programs has floats alone, which are exact up to it. At 200 Hz it is never reached."""
+NO_JSON = "it is no JSON in UTF-8 without a byte order mark, or was cut"
+"""What is wrong with a message of something else."""
 _COORDINATE = {int, float, type(None)}
 
 
@@ -61,11 +63,13 @@ def why_damaged(data: bytes) -> str:
 class DamagedJson:
     """What could not be read of what a sender sent.
 
+    explain   what is wrong with a message
     count     messages
     numbered  those of them that had a number of a frame: it is missing among those that were read, and nothing was lost on the way
     why       what is wrong with the first, "" for none
     """
 
+    explain: Callable[[bytes], str] = why_damaged
     count: int = 0
     numbered: int = 0
     why: str = ""
@@ -73,7 +77,7 @@ class DamagedJson:
     def add(self, data: bytes) -> None:
         """Count a message."""
         self.count += 1
-        self.why = self.why or why_damaged(data)
+        self.why = self.why or self.explain(data)
         with suppress(ValueError, RecursionError):
             content = json.loads(data.decode("utf-8"))
             self.numbered += isinstance(content, dict) and type(content.get("frame")) is int
@@ -81,11 +85,7 @@ class DamagedJson:
     def findings(self, where: str) -> list[Finding]:
         """How many, and what is wrong with the first."""
         sentence = f"{where}: {counted(self.count, 'packet')} could not be read; of the first, {self.why}."
-        return (
-            [Finding("live-format", Severity.WARNING, where, sentence, "Send frames as docs/live-sources.md says, JSON.")]
-            if self.why
-            else []
-        )
+        return [Finding("live-format", Severity.WARNING, where, sentence, "Send JSON as docs/live-sources.md says.")] if self.why else []
 
 
 def _read(data: bytes, arrived: float) -> LiveFrame | str:
@@ -93,12 +93,12 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
     try:
         content = json_of(data)
     except (ValueError, RecursionError):
-        return "it is no JSON in UTF-8 without a byte order mark, or was cut"
+        return NO_JSON
     if not isinstance(content, dict):
         return "it is no object with frame, time and points"
     for key in ("frame", "time", "points"):
         if key not in content:
-            return f'it has no "{key}", but {_keys_of(content)}'
+            return f'it has no "{key}", but {keys_of(content)}'
     number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
     if type(number) is not int or abs(number) > LARGEST_NUMBER:
         return 'its "frame" is no whole number below 2^53'
@@ -125,7 +125,7 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
     return LiveFrame(number, at, arrived, scale * points[there], kept)
 
 
-def _keys_of(content: dict[str, Any]) -> str:
+def keys_of(content: dict[str, Any]) -> str:
     """The keys of a message, a few of them, as a person reads them: one of them is often the one that lacks, misspelt."""
     return listed([f'"{key[:_KEY]}"' for key in content]) or "nothing"
 

@@ -31,7 +31,7 @@ _NO_LABELS = (
     "live-unit",
 )
 _NO_POINTS_TOLD = ("reconstruct-no-points", "reconstruct-no-fit", "live-camera-silent", "live-camera-size")
-_SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened")
+_SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened", "live-camera-stamps")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
 NUMBER_FRAMES = "number each frame one higher than the last, and let one sender send."
 """What a person can do whose frames have numbers that stand still."""

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from asterism.findings import Finding, Severity
-from asterism.live.blobs.gathering import CameraArrivals
+from asterism.live.blobs.gathering.arrivals import FEWEST, CameraArrivals
 from asterism.reconstruction.camera_fit import CameraFit
-from asterism.recording.display import how_often, listed, significant
+from asterism.recording.display import counted, how_often, listed, significant
 
 _AWAY_TOLD = ("live-camera-silent", "live-camera-not-opened", "live-camera-size", "live-camera-ended", "live-camera-reopened")
 """Why a source says itself that a camera gave nothing for a while: that it fell silent is the same, and is not told again."""
@@ -22,6 +22,8 @@ class RigCameraHealth:
 
     name                  in the rig
     received, lost, late  images that came, never came by their numbers, and came when their frame had gone on
+    repeated              images that came twice or after a later one, by their numbers
+    untimed               images whose time is not after that of the one before
     without               frames that went on without it
     unlinked              blobs that could not be followed to the instant of a frame
     times_away, away      how often it fell silent, and whether it is silent now
@@ -37,6 +39,8 @@ class RigCameraHealth:
     received: int
     lost: int
     late: int
+    repeated: int
+    untimed: int
     without: int
     unlinked: int
     times_away: int
@@ -58,7 +62,9 @@ def health_of(name: str, state: CameraArrivals, fit: CameraFit) -> RigCameraHeal
         name=name,
         received=count.received,
         lost=count.lost,
-        late=count.late + state.late,
+        late=count.late + state.late + state.untimed,
+        repeated=count.late,
+        untimed=state.untimed,
         without=state.without,
         unlinked=state.unlinked,
         times_away=state.times_away,
@@ -94,6 +100,8 @@ def rig_camera_findings(
     if silent:
         mend = "Look whether it is switched on, and whether it has this name in the rig."
         found.append(Finding("live-camera-silent", warning, listed(silent), f"camera {listed(silent)} sent nothing.", mend))
+    unlike = {camera.name for camera in cameras if _numbers_are_none(camera) or _times_are_none(camera)}
+    cameras = [camera for camera in cameras if camera.name not in unlike]
     totals = [(camera, camera.received + camera.lost) for camera in cameras]
     if lost := _shares([(camera.name, camera.lost, total) for camera, total in totals if camera.name not in told]):
         where, said = lost
@@ -110,6 +118,29 @@ def rig_camera_findings(
             sentence = f"camera {where}: its clock was set {how_often(camera.jumps)}."
             found.append(Finding("live-camera-clock", Severity.NOTE, where, sentence, "It takes part again after 20 images."))
     return found
+
+
+def stamp_findings(cameras: Sequence[RigCameraHealth]) -> list[Finding]:
+    """Cameras whose images have numbers or times that are none: nothing is made of them, and no network or clock can have done it."""
+    found = list[Finding]()
+    if some := [camera for camera in cameras if _numbers_are_none(camera)]:
+        names, count = listed([camera.name for camera in some]), sum(camera.repeated for camera in some)
+        sentence = f"camera {names}: {counted(count, 'image')} with the number of an earlier one: not used."
+        mend = "Number each image of a camera one higher than the last, and give each camera a name of its own."
+        found.append(Finding("live-camera-stamps", Severity.WARNING, names, sentence, mend))
+    if some := [camera for camera in cameras if _times_are_none(camera)]:
+        names = listed([camera.name for camera in some])
+        sentence = f"camera {names}: the times of its images do not go as a clock does."
+        found.append(Finding("live-camera-stamps", Severity.WARNING, names, sentence, "Send times in seconds, of when an image is taken."))
+    return found
+
+
+def _numbers_are_none(camera: RigCameraHealth) -> bool:
+    return camera.repeated > FEWEST and 2 * camera.repeated > camera.received
+
+
+def _times_are_none(camera: RigCameraHealth) -> bool:
+    return camera.received > FEWEST and 2 * max(camera.untimed, camera.jumps) > camera.received
 
 
 def _shares(counts: Sequence[tuple[str, int, int]]) -> tuple[str, str] | None:

@@ -22,7 +22,7 @@ from asterism.live.blobs.camera_clock import compile_fit
 from asterism.live.blobs.gathering import ByNumber, ByTime, RigFrame
 from asterism.live.blobs.judging import JudgeProcess, judge
 from asterism.live.blobs.recorder import BlobRecorder
-from asterism.live.blobs.rig_health import RigCameraHealth, health_of, rig_camera_findings
+from asterism.live.blobs.rig_health import RigCameraHealth, health_of, rig_camera_findings, stamp_findings
 from asterism.live.camera_frames import BlobSource, LiveBlobs
 from asterism.live.frames import MOST_POINTS, TURN, CameraControl, LiveFrame, OfCameras, SourceAbout, SourceEnded
 from asterism.live.reporting import own_findings
@@ -165,11 +165,12 @@ class RigSource:
 
     def findings(self) -> list[Finding]:
         """What a person should know of the cameras and their rig."""
-        own = own_findings([self._source])
-        counts = list[Finding]()
+        own, cameras = own_findings([self._source]), self.cameras()
+        counts = stamp_findings(cameras)
         if self._frames:
             expected = [name for name in self._all if name not in self._unposed]
-            counts = [*rig_camera_findings(self.cameras(), expected, own, busy=getattr(self._source, "overflowed", 0) > 0), *self._counts()]
+            busy = getattr(self._source, "overflowed", 0) > 0
+            counts += [*rig_camera_findings(cameras, expected, own, busy=busy), *self._counts()]
         # Where a session was so short that it was judged once, that is all there is.
         enough = 1 if self._closed and self._judgements == 1 else 2
         return [*own, *self._names(), *counts, *(finding for finding, times in self._found.values() if times >= enough)]

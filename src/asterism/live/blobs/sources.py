@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.datagrams import LARGEST_NUMBER, HostPort, ListeningSocket, overflow
+from asterism.live.datagrams import LARGEST_NUMBER, NO_JSON, DamagedJson, HostPort, ListeningSocket, keys_of, overflow
 from asterism.live.frames import SourceEnded
 from asterism.live.json_reading import json_of
 from asterism.live.replay import Playback
@@ -120,6 +120,30 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
     return LiveBlobs(str(camera), number, at, arrived, xy, sizes)
 
 
+def why_no_blobs(data: bytes) -> str:
+    """What is wrong with a datagram that `blobs_of_json` does not take, for a person who writes a sender."""
+    try:
+        content = json.loads(data.decode("utf-8"))
+    except (ValueError, RecursionError):
+        return NO_JSON
+    keys = ("camera", "frame", "time", "blobs")
+    if not isinstance(content, dict):
+        return "it is no object with camera, frame, time and blobs"
+    lacking = next((key for key in keys if key not in content), None)
+    if lacking is not None:
+        return f'it has no "{lacking}", but {keys_of(content)}'
+    camera, number, at, rows = (content[key] for key in keys)
+    if type(camera) not in (str, int):
+        return 'its "camera" is no text and no whole number'
+    if type(number) is not int or abs(number) > LARGEST_NUMBER:
+        return 'its "frame" is no whole number below 2^53'
+    if type(at) not in (int, float) or not abs(at) < math.inf:
+        return 'its "time" is no number'
+    if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
+        return f'its "blobs" are no list of at most {MOST_BLOBS} [x, y]'
+    return 'one of its "blobs" is not [x, y], or [x, y, size], in numbers'
+
+
 def _table(rows: list[Any]) -> tuple[Floats, Floats]:
     """(n, 2) px, and sizes (n,) px of each blob. Raises ValueError, TypeError or OverflowError."""
     if not rows:
@@ -157,7 +181,7 @@ class JsonBlobs:
     """
 
     def __init__(self, place: HostPort, cameras: Sequence[str], rate: float = math.nan, *, numbered_together: bool = False) -> None:
-        self.damaged = 0
+        self._damaged = DamagedJson(why_no_blobs)
         self.name, self.cameras, self.rate = f"blobs at {place}", tuple(cameras), rate
         self.numbered_together = numbered_together
         self._socket = ListeningSocket(place)
@@ -173,8 +197,13 @@ class JsonBlobs:
             blobs = blobs_of_json(data, arrived)
             if blobs is not None:
                 return blobs
-            self.damaged += 1
+            self._damaged.add(data)
         return None
+
+    @property
+    def damaged(self) -> int:
+        """Packets that could not be read."""
+        return self._damaged.count
 
     @property
     def overflowed(self) -> int:
@@ -183,7 +212,7 @@ class JsonBlobs:
 
     def findings(self) -> list[Finding]:
         """What a person should know of it."""
-        return overflow(self.name, self.overflowed)
+        return [*overflow(self.name, self.overflowed), *self._damaged.findings(self.name)]
 
     def close(self) -> None:
         """Stop listening."""

@@ -59,6 +59,7 @@ class CameraArrivals:
     clock      its clock against this machine's
     lag        how late its images are, behind the first of their frame or behind its fastest ones
     late       images that came when their frame had gone on without them
+    untimed    images of cameras that run freely whose time is not after that of the one before
     without    frames that went on without it
     unlinked   blobs that could not be followed to the instant of a frame
     away       whether it is not waited for, since it sends nothing
@@ -70,6 +71,7 @@ class CameraArrivals:
     clock: CameraClock = field(default_factory=CameraClock)
     lag: RecentMost = field(default_factory=RecentMost)
     late: int = 0
+    untimed: int = 0
     without: int = 0
     unlinked: int = 0
     away: bool = False

@@ -53,7 +53,7 @@ class ByTime:
         if state.clock.jumps > jumps:
             self._leave(camera)
         if track.stamps and blobs.time <= track.stamps[-1][1]:
-            state.late += 1
+            state.untimed += 1
             return None
         track.stamps.append((blobs.number, blobs.time))
         if not track.joined:
@@ -188,8 +188,12 @@ class ByTime:
             if image.time <= self._newest + 0.5 * track.period:
                 break
             new.appendleft(image.time)
-        self._instants.extend(new)
-        self._newest = new[-1] if new else self._newest
+        for instant in new:
+            if 1.5 * track.period < instant - self._newest <= RULES.longest_gap * track.period:
+                # Of one lost image the other cameras' blobs are there, and its own go on across it.
+                self._instants.append(0.5 * (self._newest + instant))
+            self._instants.append(instant)
+            self._newest = instant
 
     def _part(self, cameras: list[int]) -> None:
         """Cameras whose clocks run apart share none."""
