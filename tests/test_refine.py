@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from computed import computed
 
-from asterism.calibration import refine_rig
+from asterism.calibration import Refinement
+from asterism.calibration import refine_rig as refine_anew
 from asterism.cameras import Camera, Rig
 from asterism.cameras.files import read_rig, write_rig
 from asterism.cli import main
@@ -20,6 +22,11 @@ from asterism.geometry import rotation_from_vector
 from asterism.recording import Blobs
 from asterism.simulation import simulate_walks
 from asterism.simulation.cameras import ImagingSettings, ring_rig, simulate_blobs, walker_capsules
+
+
+def refine_rig(blobs: Blobs, rig: Rig, **settings: int) -> Refinement:
+    """What `refine_anew` gives; a second for most rigs, so that it is worked out once for the same sources."""
+    return computed(refine_anew, blobs, rig, **settings)
 
 
 @cache
