@@ -391,6 +391,7 @@ def test_rules_are_read_and_wrong_ones_named(tmp_path: Path) -> None:
         ('["LTHI", "LKNE", "LANK"]', '["LTHI", "LKNE"]', "rule 1: angle needs 3 marker names"),
         ('["LTHI", "LKNE", "LANK"]', '["LTHI", "LKNE", "lthi"]', "angle is of 3 different markers, and LTHI, LKNE, lthi names one of them"),
         ("above = 0.3", "hysteresis = 0.1", "rule 2: hysteresis is how far a value goes back behind above or below"),
+        ('"deep enough"', '"{value}: {value:.1f}"', "rule 1: text has {value:.1f}; it takes {value} alone".replace("{", "[{]")),
         ("below = 150", 'below = "150"', "rule 1: below is '150', no number"),
         ("below = 150", "belwo = 150", "rule 1: belwo is unknown"),
         ('"beep"', '"bang"', "rule 1: sound is 'bang'"),

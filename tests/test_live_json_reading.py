@@ -6,7 +6,7 @@ import pytest
 
 from asterism.live import json_reading
 from asterism.live.blobs import blobs_of_json
-from asterism.live.datagrams import why_damaged
+from asterism.live.datagrams import frame_of_json, why_damaged
 
 ODD = [
     b"NaN", b"-Infinity", b"1e400", b"-0", b"18446744073709551616", b"1" + b"0" * 400,
@@ -39,3 +39,12 @@ def test_what_orjson_refuses_is_read_by_the_standard_library() -> None:
     assert math.isnan(json_reading.json_of(b"[NaN]")[0])
     with pytest.raises(ValueError):
         json_reading.json_of(b"[1,]")
+
+
+def test_programs_that_know_floats_alone_are_read() -> None:
+    frame = frame_of_json(b'{"frame":12.0,"time":1.0,"points":[[1.0,2.0,3.0]]}', 0.0)
+    blobs = blobs_of_json(b'{"camera":3.0,"frame":12.0,"time":1.0,"blobs":[[1.0,2.0]]}', 0.0)
+    assert frame is not None and frame.number == 12 and type(frame.number) is int
+    assert blobs is not None and (blobs.camera, blobs.number) == ("3", 12) and type(blobs.number) is int
+    for number in (b"12.5", b"1e17", b"1e400"):
+        assert frame_of_json(b'{"frame":' + number + b',"time":1.0,"points":[]}', 0.0) is None

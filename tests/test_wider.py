@@ -75,6 +75,27 @@ def test_a_stream_is_labelled_by_the_larger_set_once_a_second_shows_that_it_is_w
     assert note.code == "label-wider-set" and WORN in note.mend and live.marker_set == MarkerSet.load(ASKED)
 
 
+def test_while_few_points_are_seen_no_frame_costs_as_much_as_a_second(monkeypatch: pytest.MonkeyPatch) -> None:
+    worked_out = []
+
+    class Counting:
+        """NumPy as this one module sees it."""
+
+        def __getattr__(self, name: str) -> object:
+            worked_out.extend([name] if name == "median" else [])
+            return getattr(np, name)
+
+    live = LiveLabeller(20.0, markers=ASKED, studies="none")
+    monkeypatch.setattr("asterism.session.live.np", Counting())
+    # Half of the frames of a second show somebody, the others were lost.
+    for number in range(60):
+        live.push(person().positions[number] if number % 2 else np.empty((0, 3)))
+    assert not worked_out
+    for number in range(60, 80):
+        live.push(person().positions[number])
+    assert worked_out == ["median"]
+
+
 def test_a_file_is_labelled_by_the_larger_set(tmp_path: Path) -> None:
     labels = tuple(f"*{m + 1}" for m in range(len(person().labels)))
     path = tmp_path / "walk.trc"

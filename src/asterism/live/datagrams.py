@@ -53,6 +53,12 @@ def frame_of_json(data: bytes, arrived: float) -> LiveFrame | None:
     return read if isinstance(read, LiveFrame) else None
 
 
+def whole_number(value: object) -> int | None:
+    """A number of a frame, which programs that know floats alone write as 12.0; None where it is none, or too large."""
+    number = int(value) if type(value) is float and value.is_integer() else value
+    return number if type(number) is int and abs(number) <= LARGEST_NUMBER else None
+
+
 def why_damaged(data: bytes) -> str:
     """What is wrong with a datagram that `frame_of_json` does not take, for a person who writes a sender; "" where nothing is."""
     read = _read(data, 0.0)
@@ -80,7 +86,7 @@ class DamagedJson:
         self.why = self.why or self.explain(data)
         with suppress(ValueError, RecursionError):
             content = json.loads(data.decode("utf-8"))
-            self.numbered += isinstance(content, dict) and type(content.get("frame")) is int
+            self.numbered += isinstance(content, dict) and whole_number(content.get("frame")) is not None
 
     def findings(self, where: str) -> list[Finding]:
         """How many, and what is wrong with the first."""
@@ -99,8 +105,8 @@ def _read(data: bytes, arrived: float) -> LiveFrame | str:
     for key in ("frame", "time", "points"):
         if key not in content:
             return f'it has no "{key}", but {keys_of(content)}'
-    number, at, rows, unit, names = content["frame"], content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
-    if type(number) is not int or abs(number) > LARGEST_NUMBER:
+    at, rows, unit, names = content["time"], content["points"], content.get("unit", "m"), content.get("names", [])
+    if (number := whole_number(content["frame"])) is None:
         return 'its "frame" is no whole number below 2^53'
     # Text and true would become numbers: a sender that mixes them is wrong, and is told.
     if type(at) not in (int, float) or not abs(at) < math.inf:

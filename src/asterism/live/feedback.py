@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from importlib import resources
@@ -138,6 +139,9 @@ def _words(table: Mapping[str, Any], where: str) -> dict[str, str]:
             raise AsterismError(f"{where}: {key} is {words[key]!r}; it is one of {', '.join(choices)}.")
     if not all(isinstance(word, str) for word in words.values()):
         raise AsterismError(f"{where}: name and text are words in quotes.")
+    unknown = re.search(r"\{.*?\}", words["text"].replace("{value}", ""))
+    if unknown:
+        raise AsterismError(f'{where}: text has {unknown[0]}; it takes {{value}} alone, as in text = "knee at {{value}}".')
     return words
 
 

@@ -72,6 +72,8 @@ class LiveLabeller:
         self._wider: WiderModel | None = None
         self._latest = deque[tuple[Floats, int]](maxlen=max(1, round(_SECONDS * rate)))
         """of the set given, the last second of frames: points, and how many of them have a label"""
+        self._showing = 0
+        """how many of these show most of the set"""
         self._may_be_wider, self._pushed = markers is not None, 0
         if markers is not None:
             (worn,) = SetFinder([markers]).given_sets()
@@ -113,7 +115,7 @@ class LiveLabeller:
         rest = [] if self._stream is None else [self._shifted(labels) for labels in self._stream.flush()]
         self._waiting.clear()
         self._latest.clear()
-        self._before = self._pushed = 0
+        self._before = self._pushed = self._showing = 0
         return rest
 
     def findings(self) -> list[Finding]:
@@ -151,13 +153,16 @@ class LiveLabeller:
     def _of_wider(self, points: Floats, labels: FrameLabels | None) -> FrameLabels | None:
         """The labels of a push, by a wider set where a second shows that the points are more than those of the set given."""
         own = 0 if labels is None else int((labels.indices != NULL).sum())
-        self._latest.append((points, own))
-        if self.worn is None or len(self._latest) < max(self._latest.maxlen or 0, self.delay + 1):
-            return labels
+        assert self.worn is not None
         size = len(self.worn.marker_set)
-        shown, labelled = np.median([(len(each), count) for each, count in self._latest], axis=0)
-        if shown < _LABELLED * size:
+        if len(self._latest) == self._latest.maxlen:
+            self._showing -= len(self._latest[0][0]) >= _LABELLED * size
+        self._latest.append((points, own))
+        self._showing += len(points) >= _LABELLED * size
+        # Counted as they come: where nobody is seen for long, no frame may cost as much as a second of them.
+        if len(self._latest) < max(self._latest.maxlen or 0, self.delay + 1) or 2 * self._showing <= len(self._latest):
             return labels
+        shown, labelled = np.median([(len(each), count) for each, count in self._latest], axis=0)
         # Once, as the person comes: later, frames that wait for seconds would hold a session up.
         self._may_be_wider, frames = False, [each for each, _ in self._latest]
         self._latest.clear()

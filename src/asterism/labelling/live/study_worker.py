@@ -35,11 +35,11 @@ class StudyWorker:
         self._labelled: tuple[Ints, Ints] = (np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64))
 
     def look(self, xyz: Floats, serials: Ints) -> Study:
-        """What one frame says: the labels that `label` gives, of a model that no real person taught those above `StudyRules.alone`."""
+        """What one frame says, as `label` does; of a model that no real person taught, labels below `StudyRules.alone` are candidates."""
         self.restart()
         found = self.study(StreamFrames(0, xyz, np.array([len(xyz)]), serials))
         given = found.given & (found.chance >= (0.0 if self._model.state.about.get("recordings") else self._rules.alone))
-        return replace(found, markers=np.where(given, found.markers, NULL), given=given, body=None)
+        return replace(found, given=given, body=None)
 
     def study(self, new: StreamFrames) -> Study:
         """Take frames that follow those before, and label all that are kept."""

@@ -15,7 +15,7 @@ from asterism.errors import AsterismError
 from asterism.findings import Finding
 from asterism.formats.blobs_2d import read_2d
 from asterism.live.camera_frames import LiveBlobs
-from asterism.live.datagrams import LARGEST_NUMBER, NO_JSON, DamagedJson, HostPort, ListeningSocket, keys_of, overflow
+from asterism.live.datagrams import NO_JSON, DamagedJson, HostPort, ListeningSocket, keys_of, overflow, whole_number
 from asterism.live.frames import SourceEnded
 from asterism.live.json_reading import json_of
 from asterism.live.replay import Playback
@@ -102,11 +102,12 @@ def blobs_of_json(data: bytes, arrived: float) -> LiveBlobs | None:
     """
     try:
         content = json_of(data)
-        camera, number, at, rows = content["camera"], content["frame"], float(content["time"]), content["blobs"]
+        camera, number, at, rows = content["camera"], whole_number(content["frame"]), float(content["time"]), content["blobs"]
         if type(camera) is float:
-            # A whole number that is too long for `json_of`; the standard library tells it from a float.
+            # A whole number that is too long for `json_of`, which the standard library tells from a float; or 1.0.
             camera = json.loads(data.decode("utf-8"))["camera"]
-        if type(camera) not in (str, int) or type(number) is not int or abs(number) > LARGEST_NUMBER or not math.isfinite(at):
+            camera = whole_number(camera) if type(camera) is float else camera
+        if type(camera) not in (str, int) or number is None or not math.isfinite(at):
             return None
         if not isinstance(rows, list) or len(rows) > MOST_BLOBS:
             return None
@@ -133,9 +134,9 @@ def why_no_blobs(data: bytes) -> str:
     if lacking is not None:
         return f'it has no "{lacking}", but {keys_of(content)}'
     camera, number, at, rows = (content[key] for key in keys)
-    if type(camera) not in (str, int):
+    if type(camera) not in (str, int) and whole_number(camera) is None:
         return 'its "camera" is no text and no whole number'
-    if type(number) is not int or abs(number) > LARGEST_NUMBER:
+    if whole_number(number) is None:
         return 'its "frame" is no whole number below 2^53'
     if type(at) not in (int, float) or not abs(at) < math.inf:
         return 'its "time" is no number'
