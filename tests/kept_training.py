@@ -1,4 +1,4 @@
-"""Parts of a training that are kept by what goes in and by the sources: drawing virtual people, learning a body, trying it on others.
+"""Parts of a training, kept by what goes in and by the sources: virtual people, a body that is learned, partial solvers, trials.
 
 They are most of a training's time, and tests train some hundred models of the same people.
 """
@@ -19,6 +19,7 @@ _PLAIN = {
     (learning, "_try_group"): learning._try_group,
     (learning, "fit_whole"): learning.fit_whole,
     (train, "fit_whole"): train.fit_whole,
+    (train, "search_partial_solvers"): train.search_partial_solvers,
     (virtual, "_drawn"): virtual._drawn,
 }
 
@@ -33,6 +34,10 @@ def _try_group(learned: Sequence[Any], stretches: Any, triples: Any, config: Any
 
 def _fit_whole(*given: Any) -> Any:
     return computed(_PLAIN[learning, "fit_whole"], *given)
+
+
+def _search_partial_solvers(*given: Any, progress: object = None, **settings: Any) -> Any:
+    return computed(_PLAIN[train, "search_partial_solvers"], *given, **settings)
 
 
 @lru_cache(maxsize=2)

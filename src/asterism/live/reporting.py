@@ -6,6 +6,7 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from asterism.findings import Finding, Severity
+from asterism.live.numbering import late_frames, wrong_numbers
 from asterism.recording.display import counted, how_often, significant
 
 if TYPE_CHECKING:
@@ -33,8 +34,6 @@ _NO_LABELS = (
 _NO_POINTS_TOLD = ("reconstruct-no-points", "reconstruct-no-fit", "live-camera-silent", "live-camera-size")
 _SILENT_TOLD = ("live-unconnected", "live-unknown-camera", "live-camera-silent", "live-camera-not-opened", "live-camera-stamps")
 _DAMAGED_TOLD = ("live-format", "live-camera-size", "live-camera-damaged")
-NUMBER_FRAMES = "number each frame one higher than the last, and let one sender send."
-"""What a person can do whose frames have numbers that stand still."""
 _OF_NUMBERS = ("live-late", "live-times")
 _NOTE, _WARNING, _ERROR = Severity.NOTE, Severity.WARNING, Severity.ERROR
 
@@ -75,9 +74,9 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         share = significant(100 * health.lost / (health.lost + health.frames), 2)
         sentence = f"{where}: {counted(health.lost, 'frame')} never arrived ({share} %)."
         found.append(Finding("live-lost", _WARNING, where, sentence, "Use a cable instead of radio, or a lower rate."))
-    found += wrong_numbers(health, where)
+    found += wrong_numbers(where, health.frames, health.late, health.jumps)
     if health.late and not most:
-        found.append(Finding("live-late", _NOTE, where, _late(health, where), "Look at the network."))
+        found.append(Finding("live-late", _NOTE, where, late_frames(where, health.late), "Look at the network."))
     if health.others:
         sentence = f"{where}: two programs send through one address: {counted(health.others, 'frame')} of the second not used."
         mend = "Stop one of them, or give each a port of its own."
@@ -103,21 +102,6 @@ def session_findings(health: Health, where: str, recorder: LiveRecorder | None =
         sentence = recorder.problem or f"{recorder.path}: {' and '.join(lacking)} not recorded, since the disk was busy."
         found.append(Finding("live-not-recorded", _ERROR, where, sentence, recorder.mend))
     return found
-
-
-def wrong_numbers(health: Health, where: str) -> list[Finding]:
-    """What is wrong with the numbers, or the times, of most frames: nothing that network or clock can have done."""
-    found = list[Finding]()
-    if health.late > health.frames:
-        found.append(Finding("live-late", _WARNING, where, _late(health, where), NUMBER_FRAMES.capitalize()))
-    if 2 * health.jumps > health.frames:
-        sentence = f"{where}: its times do not go as a clock does ({health.jumps} jumps in {health.frames} frames)."
-        found.append(Finding("live-times", _WARNING, where, sentence, "Send times in seconds, of when a frame is taken."))
-    return found
-
-
-def _late(health: Health, where: str) -> str:
-    return f"{where}: {counted(health.late, 'frame')} came twice or after a later one: not used."
 
 
 def _no_labels(health: Health, where: str, said: Iterable[Finding]) -> list[Finding]:

@@ -20,8 +20,8 @@ from asterism.live.chain import LabelChain, LabelledFrame, MakeLabeller
 from asterism.live.clock import FrameCount, SourceClock, rows_of
 from asterism.live.feedback import Feedback
 from asterism.live.frames import TURN, LiveFrame, LiveSource, SourceEnded
+from asterism.live.numbering import NUMBER_FRAMES, wrong_numbers
 from asterism.live.pauses import short_pauses
-from asterism.live.reporting import NUMBER_FRAMES, wrong_numbers
 from asterism.live.waiting import WaitingFrames
 from asterism.recording import Floats
 from asterism.recording.rates import TO_RATE, RateOfTimes, rate_of_times
@@ -276,7 +276,8 @@ class LiveSession:
     def findings(self) -> list[Finding]:
         """What a person should know of the marker set that was found, of the studies, and of frames whose numbers or times are none."""
         count = self._count
-        wrong = wrong_numbers(self.health(), self.source.about.name) if count.received + count.late >= TO_RATE else []
+        where, jumps = self.source.about.name, self._clock.jumps
+        wrong = wrong_numbers(where, count.received, count.late, jumps) if count.received + count.late >= TO_RATE else []
         return [*wrong, *([] if self._chain is None else self._chain.findings())]
 
     def health(self) -> Health:
