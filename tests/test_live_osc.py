@@ -117,7 +117,9 @@ def test_a_time_that_32_bits_do_not_hold_ends_no_session(artist: Artist, at: flo
     assert dict(came)["/asterism/frame"] == (2, 0.5) and [numbers[0] for name, numbers in came if "frame" in name] == [0, 1, 2]
 
 
-@pytest.mark.parametrize("address", ["osc://127.0.0.1", "osc:9000", "http://127.0.0.1:5000", "osc://127.0.0.1:99999", "natnet"])
+@pytest.mark.parametrize(
+    "address", ["osc://127.0.0.1", "osc:9000", "http://127.0.0.1:5000", "osc://127.0.0.1:99999", "osc://127.0.0.1:0", "natnet"]
+)
 def test_an_address_that_is_none_leaves_no_output_open(address: str) -> None:
     with pytest.raises(AsterismError, match=r"osc://127\.0\.0\.1:9000|begins with"):
         open_outputs(["udp://127.0.0.1:5001", address], ABOUT)

@@ -20,14 +20,17 @@ ADDRESSES = ("udp", "ws", "wss", "ws-listen", "natnet", "qtm", "vicon", "lsl")
 _OF_BLOBS = "it says how blobs of cameras are numbered, of which points are made by a rig: add --rig FILE"
 
 
-def host_port(address: str, example: str, port_else: int | None = None) -> HostPort:
-    """The host and the port of an address, `port_else` where it has no port. Raises AsterismError where it has none; example: of one."""
+def host_port(address: str, example: str, port_else: int | None = None, *, listens: bool = False) -> HostPort:
+    """The host and the port of an address, `port_else` where it has no port. Raises AsterismError where it has none; example: of one.
+
+    listens: whether this machine waits there, so that 0 is any free port; nobody is reached at 0
+    """
     try:
         parts = urlsplit(address)
         host, port = parts.hostname, port_else if parts.port is None else parts.port
     except ValueError:
         host, port = None, None
-    if not host or port is None:
+    if not host or port is None or not (port or listens):
         raise AsterismError(f"{address} names no host and port; write for example {example}.")
     return HostPort(host, port)
 
@@ -69,7 +72,7 @@ def open_source(address: str, rate: float = float("nan")) -> LiveSource:
         from asterism.live.vicon import FromVicon
 
         return FromVicon(host_port(address, "vicon://192.168.1.5", DATASTREAM), rate)
-    return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000"), rate)
+    return JsonDatagrams(host_port(address, "udp://127.0.0.1:5000", listens=True), rate)
 
 
 def blobs_of(address: str, cameras: Sequence[str], rate: float = float("nan")) -> Callable[[], BlobSource]:
@@ -95,4 +98,4 @@ def blobs_of(address: str, cameras: Sequence[str], rate: float = float("nan")) -
         return partial(QtmBlobs, host_port(address, "qtm://192.168.1.5", PORT))
     from asterism.live.blobs.sources import JsonBlobs
 
-    return partial(JsonBlobs, host_port(address, "udp://127.0.0.1:5000"), cameras, rate, numbered_together=together)
+    return partial(JsonBlobs, host_port(address, "udp://127.0.0.1:5000", listens=True), cameras, rate, numbered_together=together)
