@@ -27,7 +27,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
-from waiting import until
+from waiting import LONG, until
 
 import asterism
 from asterism import AsterismError
@@ -663,7 +663,7 @@ def test_datagrams_go_in_labelled_and_out() -> None:
     came = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
     sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sink.bind(("127.0.0.1", 0))
-    sink.settimeout(10)
+    sink.settimeout(LONG)
     session = LiveSession(came, lambda rate, up: Numbers(), [ToDatagrams(HostPort("127.0.0.1", sink.getsockname()[1]))])
     running = threading.Thread(target=session.run)
     running.start()
@@ -674,7 +674,7 @@ def test_datagrams_go_in_labelled_and_out() -> None:
         if n:
             answers.append(json.loads(sink.recv(65_536)))
     session.stop()
-    running.join(timeout=10)
+    running.join(timeout=LONG)
     sender.close()
     sink.close()
     assert [answer["frame"] for answer in answers] == [7, 8, 9]

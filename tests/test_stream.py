@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from models import trained
+from scipy.special import logit
 
 import asterism
 from asterism.labelling.body._score_kernels import best_pose
@@ -471,6 +472,25 @@ def _stream(model, rules: StreamRules, **changes) -> Stream:
     labeller = replace(labeller, settings=labeller.settings._replace(**changes))
     known = StreamModel(labeller, state.markers, len(model.marker_set), state.calibrations, model.least_confidence, state.body_rules)
     return Stream(known, 100.0, rules=rules)
+
+
+def test_tracks_of_the_first_frame_are_surer_than_those_that_begin_later(walks, ensemble) -> None:
+    clouds = [np.array(points) for points in walks[5].frames(slice(30)).clouds()]
+
+    def gain(begins: int, last: int) -> float:
+        """Log odds that a marker gains in the last of so many frames, which is seen from one of them on."""
+        found = []
+        for rules in (StreamRules(first_gain=0.0), StreamRules()):
+            stream = _stream(ensemble, rules)
+            pushed = [
+                stream.push(np.delete(points, 9, axis=0) if number < begins else points) for number, points in enumerate(clouds[:last])
+            ]
+            found.append(logit(pushed[-1].confidence[9]))
+        return float(found[1] - found[0])
+
+    assert gain(0, 6) == pytest.approx(StreamRules().first_gain)
+    # One that begins later gains nothing, nor does any one after the beginning.
+    assert gain(3, 6) == gain(0, 30) == 0.0
 
 
 @pytest.mark.parametrize(("budget", "first"), [(120, 3), (250, 1)])

@@ -28,6 +28,7 @@ class TrackEvidence:
     independent  share of an independent frame that each further frame of a track counts as
 
     current      (n,) rows of the last frame's points
+    begun        how many tracks have begun so far
     serial       (rows,) a number that no other track has, -1 for a row without a track
     seen         (rows,) whether a study has seen the track
     studied      (rows,) the marker that a study found for the track, -1 where none has
@@ -44,7 +45,7 @@ class TrackEvidence:
         self._excluded = np.zeros((size, markers))
         self.serial, self.studied = np.full(size, NULL, dtype=np.int64), np.full(size, NULL, dtype=np.int64)
         self.seen, self.given, self.chance = np.zeros(size, dtype=np.bool_), np.zeros(size, dtype=np.bool_), np.zeros(size)
-        self._free, self._serials = list(range(size)), 0
+        self._free, self.begun = list(range(size)), 0
         self.current = np.zeros(0, dtype=np.int64)
 
     def __len__(self) -> int:
@@ -127,8 +128,8 @@ class TrackEvidence:
             self.serial[size:] = NULL
         rows = [self._free.pop() for _ in range(count)]
         self.clear(rows)
-        self.serial[rows] = np.arange(self._serials, self._serials + count)
-        self._serials += count
+        self.serial[rows] = np.arange(self.begun, self.begun + count)
+        self.begun += count
         return rows
 
     def release(self, rows: Ints, waiting: Iterable[Ints]) -> None:
