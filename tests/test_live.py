@@ -851,7 +851,22 @@ def test_a_recording_that_is_removed_while_it_is_written_is_not_said_to_be_there
     recorder.close()
     assert told == [recorder.problem] and "removed or moved" in recorder.problem and recorder.kept == 0
     (finding,) = [each for each in session_findings(Health(labelled=2, shown=2), "given", recorder) if each.code == "live-not-recorded"]
-    assert finding.mend == "Leave walk.live and its folder in their place until the session ends."
+    assert finding.mend.startswith("Leave walk.live and its folder in their place until the session ends")
+    # What was moved away and back is somebody's.
+    recorder.path.write_bytes(b"frames")
+    write_recorded(recorder, tmp_path / "walk.c3d", None)
+    leave_recorded(recorder, tmp_path / "walk.c3d")
+    assert recorder.path.exists()
+
+
+def test_a_network_that_does_not_answer_for_a_moment_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "stat", lambda *_, **__: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error")))
+        recorder.frame(frames([0])[0])
+        recorder._flush()
+    recorder.close()
+    assert recorder.problem == "" and recorder.kept == 1
 
 
 def test_how_an_unfinished_recording_is_written_can_be_copied_into_a_terminal(tmp_path: Path, capsys) -> None:
