@@ -109,7 +109,7 @@ class Tab:
         answer = self._answer("Runtime.evaluate", {"expression": code, "awaitPromise": True, "returnByValue": True}, in_worker)
         return answer.get("result", {}).get("result", {}).get("value")
 
-    def wait(self, code: str, seconds: float = 60.0, *, in_worker: bool = False) -> Any:
+    def wait(self, code: str, seconds: float = 180.0, *, in_worker: bool = False) -> Any:
         """The value of a piece of script as soon as it is true."""
         until = time.monotonic() + seconds
         while not (value := self.value(code, in_worker=in_worker)):

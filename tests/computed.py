@@ -12,11 +12,13 @@ import hashlib
 import inspect
 import os
 import pickle
+import re
 import threading
 import time
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from functools import cache
+from importlib import metadata
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -88,11 +90,19 @@ def _add(value: object, put: Callable[[bytes], None]) -> None:
 def sources(start: Path) -> bytes:
     """The digest of a source, of those of the package that it imports, and of all tables of the package."""
     package = Path(asterism.__file__).parent
-    made = hashlib.sha256(models.sources(start))
+    made = hashlib.sha256(models.sources(start) + repr(sorted(_versions().items())).encode())
     for path in sorted(package.rglob("*")):
         if path.is_file() and path.suffix not in (".py", ".pyc", ".nbi", ".nbc"):
             made.update(path.relative_to(package).as_posix().encode() + path.read_bytes())
     return made.digest()
+
+
+def _versions() -> dict[str, str]:
+    """Of the libraries that the package needs, where it is installed."""
+    with suppress(metadata.PackageNotFoundError):
+        needed = [re.match(r"[\w.-]+", one)[0] for one in metadata.requires("asterism") or () if "extra ==" not in one]
+        return {name: metadata.version(name) for name in needed}
+    return {}
 
 
 @cache

@@ -111,7 +111,8 @@ def test_what_breaks_off_leaves_what_was_there(failing: type[Failing], some: Pat
 def test_a_disk_that_stalls_is_given_up_and_a_slow_one_is_not(
     failing: type[Failing], some: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(stalls, "STALLED", 0.1)
+    # ten times as long as what is slow: a busy machine may let a thread wait for some tenths of a second
+    monkeypatch.setattr(stalls, "STALLED", 0.5)
     released = threading.Event()
     RemoteFolder("failing://lab").store(some, "walk.c3d")
     failing.fail = staticmethod(lambda path, mode: released.wait(20.0))
@@ -129,7 +130,7 @@ def test_a_disk_that_stalls_is_given_up_and_a_slow_one_is_not(
 
 
 def test_a_file_of_this_disk_that_never_comes_is_left_out(some: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(stalls, "STALLED", 0.1)
+    monkeypatch.setattr(stalls, "STALLED", 0.5)
     released, reads = threading.Event(), Path.open
 
     def open_(path: Path, *more: Any, **other: Any) -> Any:

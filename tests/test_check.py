@@ -54,9 +54,19 @@ def test_slow_tests_run_where_all_are_asked_for(
     assert capsys.readouterr().out.splitlines()[-1] == str(asked)
 
 
+def test_the_site_is_written_where_all_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    ran = list[check.Step]()
+    monkeypatch.setattr(check.Runner, "run", lambda self, step: ran.append(step) or True)
+    monkeypatch.setattr(check.Runner, "run_tests", lambda *_: (0, ""))
+    for words in ([], ["--all"]):
+        assert check.check(check.Runner(), words) == 0
+    assert [sorted({"dummy", "html"}.intersection(step.arguments)) for step in ran if step.name == "site"] == [["dummy"], ["html"]]
+
+
 def test_a_failure_is_shown_when_it_happens_and_once(tmp_path: Path) -> None:
     # Without what all tests of Asterism are given, which takes longer than all else here.
-    nothing = "import pytest\n\n@pytest.fixture(scope='session')\ndef kept_virtual_people():\n    return None\n\n"
+    given = ("kept_virtual_people", "frames_looked_at_once", "parts_of_trainings_kept")
+    nothing = "import pytest\n\n" + "".join(f"@pytest.fixture(scope='session')\ndef {one}():\n    return None\n\n" for one in given)
     tests = "def test_wrong():\n    assert 1 + 1 == 3\n\ndef test_right():\n    print('later')\n"
     (tmp_path / "test_two.py").write_text(nothing + tests)
     words = [

@@ -27,7 +27,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from models import trained
-from waiting import until
+from waiting import LONG, until
 
 import asterism
 from asterism import AsterismError
@@ -663,7 +663,7 @@ def test_datagrams_go_in_labelled_and_out() -> None:
     came = JsonDatagrams(HostPort("127.0.0.1", 0), RATE)
     sink = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
     sink.bind(("127.0.0.1", 0))
-    sink.settimeout(10)
+    sink.settimeout(LONG)
     session = LiveSession(came, lambda rate, up: Numbers(), [ToDatagrams(HostPort("127.0.0.1", sink.getsockname()[1]))])
     running = threading.Thread(target=session.run)
     running.start()
@@ -674,7 +674,7 @@ def test_datagrams_go_in_labelled_and_out() -> None:
         if n:
             answers.append(json.loads(sink.recv(65_536)))
     session.stop()
-    running.join(timeout=10)
+    running.join(timeout=LONG)
     sender.close()
     sink.close()
     assert [answer["frame"] for answer in answers] == [7, 8, 9]
@@ -851,7 +851,22 @@ def test_a_recording_that_is_removed_while_it_is_written_is_not_said_to_be_there
     recorder.close()
     assert told == [recorder.problem] and "removed or moved" in recorder.problem and recorder.kept == 0
     (finding,) = [each for each in session_findings(Health(labelled=2, shown=2), "given", recorder) if each.code == "live-not-recorded"]
-    assert finding.mend == "Leave walk.live and its folder in their place until the session ends."
+    assert finding.mend.startswith("Leave walk.live and its folder in their place until the session ends")
+    # What was moved away and back is somebody's.
+    recorder.path.write_bytes(b"frames")
+    write_recorded(recorder, tmp_path / "walk.c3d", None)
+    leave_recorded(recorder, tmp_path / "walk.c3d")
+    assert recorder.path.exists()
+
+
+def test_a_network_that_does_not_answer_for_a_moment_ends_no_recording(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    recorder = LiveRecorder(tmp_path / "walk.live", "given", None)
+    with monkeypatch.context() as patched:
+        patched.setattr(Path, "stat", lambda *_, **__: (_ for _ in ()).throw(OSError(errno.EIO, "Input/output error")))
+        recorder.frame(frames([0])[0])
+        recorder._flush()
+    recorder.close()
+    assert recorder.problem == "" and recorder.kept == 1
 
 
 def test_how_an_unfinished_recording_is_written_can_be_copied_into_a_terminal(tmp_path: Path, capsys) -> None:

@@ -276,14 +276,14 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
 
     def frames(components: str) -> Iterator[tuple[int, bytes]]:
         yield 4, b""
-        pressed.wait(20)
+        pressed.wait(LONG)
         # Settings are there with the measurement, and asked for again.
         server.xml = XML.format(rate=50, up="-Z")
         # Nor timestamps, which some recordings lack.
         for number in range(1, 5):
             yield 3, data_packet(number, points_component(2, OTHERS), stamp=0)
         pressed.clear()
-        pressed.wait(20)
+        pressed.wait(LONG)
 
     server = QtmServer(frames, "Parameters not available")
     source = open_source(f"qtm://127.0.0.1:{server.port}", 50.0)
@@ -296,7 +296,7 @@ def test_a_qtm_without_a_measurement_is_told_what_to_press_and_read_when_it_begi
         np.testing.assert_allclose([frame.time for frame in got], [0.0, 0.02, 0.04, 0.06])
         codes = {finding.code for finding in source.findings()}  # type: ignore[attr-defined]
         assert "live-no-times" in codes and "live-idle" not in codes
-        until = time.monotonic() + 20
+        until = time.monotonic() + LONG
         while source.about.vertical is None and time.monotonic() < until:
             time.sleep(0.01)
         assert source.about.vertical is not None and source.about.vertical.tolist() == [0, 0, -1]
@@ -319,7 +319,7 @@ def test_a_qtm_that_says_nothing_any_more_is_connected_again(monkeypatch: pytest
             for number in range(first, first + 3):
                 yield 3, data_packet(number, points_component(2, OTHERS))
             server.mute = first == 1
-        ended.wait(20)
+        ended.wait(LONG)
 
     server = QtmServer(frames, XML.format(rate=100, up="+Z"))
     source = open_source(f"qtm://127.0.0.1:{server.port}")

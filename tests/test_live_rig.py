@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from waiting import until
+from waiting import LONG, until
 
 from asterism import AsterismError
 from asterism.cameras import Camera, Rig
@@ -352,7 +352,7 @@ def test_noise_and_cameras_are_judged_by_another_process_and_here_where_that_was
             assert source.read(30.0) is not None
         if source._frames == 24 and image.camera == "c3":
             assert source._judging is not None
-            source._judging.join(60.0)
+            source._judging.join(LONG)
             assert source._reconstructor.noise_known
             assert source._reconstructor.model is not None and 0.1 < source._reconstructor.model.noise[0] < 0.3
     judges = multiprocessing.active_children()
@@ -360,7 +360,7 @@ def test_noise_and_cameras_are_judged_by_another_process_and_here_where_that_was
     source._learn_elsewhere(RATE)
     assert min(camera.seen for camera in source.cameras()) > 0.9
     judges[0].kill()
-    judges[0].join(60.0)
+    judges[0].join(LONG)
     source._fits = ()
     monkeypatch.setattr(Reconstructor, "learn", learn)
     source._learn_elsewhere(RATE)
@@ -377,7 +377,7 @@ def test_images_that_waited_to_be_read_make_whole_frames() -> None:
         fed.images.put(replace(image, arrived=begun + image.time))
     source = RigSource(fed, rig)
     try:
-        until = time.monotonic() + 60.0
+        until = time.monotonic() + LONG
         while min(state.count.received for state in source._gather.cameras) < 40:
             assert time.monotonic() < until
         assert [state.without for state in source._gather.cameras] == [0, 0, 0]
@@ -399,7 +399,7 @@ def test_datagrams_become_points_in_a_process_of_their_own_and_are_kept(tmp_path
             for image in sent[4 * t : 4 * t + 4]:
                 sender.sendto(blobs_as_json(image), ("127.0.0.1", source.port))
             sender.sendto(b"nonsense", ("127.0.0.1", source.port))
-            until = time.monotonic() + 30
+            until = time.monotonic() + LONG
             while len(frames) <= t and time.monotonic() < until:
                 frame = source.read(1.0)
                 frames += [] if frame is None else [frame]

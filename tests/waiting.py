@@ -7,8 +7,8 @@ from collections.abc import Callable
 
 from asterism.live import LiveFrame, LiveSource
 
-LONG = 60.0
-"""s after which a test gives up, on a machine as busy as it may be."""
+LONG = 180.0
+"""s after which a test gives up, on a machine as busy as it may be: a process that compiles kernels first took more than 60 s."""
 
 
 def until(condition: Callable[[], object]) -> None:

@@ -84,7 +84,7 @@ def write_recorded(recorder: LiveRecorder, output: Path, rate: float | None) -> 
         except BaseException:
             leave_recorded(recorder, output)
             raise
-    recorder.path.unlink(missing_ok=True)
+    _remove(recorder)
 
 
 def leave_recorded(recorder: LiveRecorder, output: Path) -> None:
@@ -93,6 +93,12 @@ def leave_recorded(recorder: LiveRecorder, output: Path) -> None:
         kept, written = quote(str(recorder.path)), quote(str(output))
         _console.notice(f"{output} was not written; {recorder.path} has all: asterism live --finish {kept} -o {written} writes it.")
     else:
+        _remove(recorder)
+
+
+def _remove(recorder: LiveRecorder) -> None:
+    """Remove the file, unless it was away meanwhile: whatever is at its place now, somebody put it there."""
+    if not recorder.is_gone:
         recorder.path.unlink(missing_ok=True)
 
 

@@ -68,7 +68,7 @@ class LiveRecorder:
         if path.exists():
             raise AsterismError(f"{path} exists; name another file to record to, or remove it.")
         self.path, self.problem, self._tell = path, "", tell
-        self.mend = "Make space, or record to another disk."
+        self.mend, self.is_gone = "Make space, or record to another disk.", False
         self.kept, self.lost, self.unlabelled = 0, 0, 0
         self._journal = Journal(path, _WORK)
         up = [0.0, 0.0, 1.0] if vertical is None else vertical.tolist()
@@ -106,11 +106,16 @@ class LiveRecorder:
 
     def _look(self) -> None:
         """Whether the file still has its name: no write fails where it has not, and nobody finds what is written."""
-        if self.path.exists():
+        try:
+            self.path.stat()
             return
-        self.kept = 0
+        except (FileNotFoundError, NotADirectoryError):
+            self.kept, self.is_gone = 0, True
+        except OSError:
+            # A network that does not answer says nothing of the file.
+            return
         if not self.problem:
-            self.mend = f"Leave {self.path.name} and its folder in their place until the session ends."
+            self.mend = f"Leave {self.path.name} and its folder in their place until the session ends; --finish writes one that was moved."
             self._fails(f"{self.path}: recording ended, since the file or its folder was removed or moved meanwhile.")
 
     def _flush(self) -> None:
