@@ -1,4 +1,4 @@
-"""Kernels of several rooms: 3 x 3 matrices, rays, segments, rigid placement about the vertical. Twins: tests/twins_geometry.py."""
+"""Kernels of several rooms: angles, 3 x 3 matrices, rays, segments, rigid placement about the vertical. Twins: tests/twins_geometry.py."""
 
 from __future__ import annotations
 
@@ -21,6 +21,15 @@ def clamped_index(value, low, high):
     if not value > low:
         return low
     return int(value) if value < high else high
+
+
+@kernel(inline=True)
+def within_half_a_turn(angle):
+    """The same direction as an angle between -pi and pi.
+
+    IN  angle rad; NaN stays NaN. O(1), no allocation.
+    """
+    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @kernel(inline=True)

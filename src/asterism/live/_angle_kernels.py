@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import within_half_a_turn
 
 
 @kernel
@@ -19,8 +20,8 @@ def nearer_triples(found, middle, last):
     for row in range(len(found)):
         here, there = 0.0, 0.0
         for k in range(3):
-            here += abs(_within_half_a_turn(found[row, k] - last[row, k]))
-            there += abs(_within_half_a_turn(_other(found[row, k], k == middle[row]) - last[row, k]))
+            here += abs(within_half_a_turn(found[row, k] - last[row, k]))
+            there += abs(within_half_a_turn(_other(found[row, k], k == middle[row]) - last[row, k]))
         # NaN is never nearer.
         exchange = middle[row] >= 0 and there < here
         for k in range(3):
@@ -32,9 +33,4 @@ def nearer_triples(found, middle, last):
 
 @kernel(inline=True)
 def _other(angle, is_middle):
-    return _within_half_a_turn(math.pi - angle if is_middle else angle + math.pi)
-
-
-@kernel(inline=True)
-def _within_half_a_turn(angle):
-    return (angle + math.pi) % (2 * math.pi) - math.pi
+    return within_half_a_turn(math.pi - angle if is_middle else angle + math.pi)

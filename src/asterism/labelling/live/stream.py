@@ -524,15 +524,20 @@ class Stream:
         left[point_of[given]] = False
         lasts, may_be_marker = self._lasting(rows)
         near_ghost = (left & may_be_marker).any() | (left.any() & ~lasts[point_of])
-        certainty = self._confidence(margins, near_ghost)
-        if self._pushed - self._came < self._rules.beginning * self.rate and len(rows):
-            first = given & (self._tracks.serial[rows[point_of]] < self._first_tracks) & (self._tracks.studied[rows[point_of]] < 0)
-            certainty = np.where(first, expit(logit(np.minimum(certainty, 1.0 - LEAST_CHANCE)) + self._rules.first_gain), certainty)
+        certainty = self._of_first_tracks(self._confidence(margins, near_ghost), point_of, rows)
         certainty = np.minimum(certainty, self._twins.limits(len(margins)))
         if self._verdict is not None:
             certainty = np.minimum(certainty, self._verdict.limit)
         certainty = self._with_study(certainty, point_of, rows)
         return point_of, np.where(given, certainty, 0.5 * np.exp(np.minimum(margins, 0.0)))
+
+    def _of_first_tracks(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
+        """How certain labels (M,) are, in the light of whether their tracks began in the first frame that shows the person."""
+        if not len(rows) or self._pushed - self._came >= self._rules.beginning * self.rate:
+            return certainty
+        of = rows[point_of]
+        first = (point_of >= 0) & (self._tracks.serial[of] < self._first_tracks) & (self._tracks.studied[of] < 0)
+        return np.where(first, expit(logit(np.minimum(certainty, 1.0 - LEAST_CHANCE)) + self._rules.first_gain), certainty)
 
     def _with_study(self, certainty: Floats, point_of: Ints, rows: Ints) -> Floats:
         """How certain labels (M,) are, in the light of what a study said of their tracks.

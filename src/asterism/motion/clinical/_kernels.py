@@ -7,6 +7,7 @@ import math
 import numpy as np
 
 from asterism._jit import kernel
+from asterism.geometry.shared_kernels import within_half_a_turn
 
 
 @kernel
@@ -154,7 +155,7 @@ def relative_turns(parent, child, x_first, near_right, signs, zero, found):
         for k in range(3):
             angle = signs[k] * found[frame, k] + (zero if k == 0 else 0.0)
             # Most are within half a turn, and a remainder takes as long as the turns themselves.
-            found[frame, k] = _within_half_a_turn(angle) if abs(angle) > math.pi else angle
+            found[frame, k] = within_half_a_turn(angle) if abs(angle) > math.pi else angle
 
 
 @kernel
@@ -184,22 +185,17 @@ def _steady(found):
         if not begun:
             begun = True
             here = abs(found[frame, 0]) + abs(found[frame, 2])
-            there = abs(_within_half_a_turn(other[0])) + abs(_within_half_a_turn(other[2]))
+            there = abs(within_half_a_turn(other[0])) + abs(within_half_a_turn(other[2]))
             for k in range(3):
-                before[k] = _within_half_a_turn(other[k]) if there < here else found[frame, k]
+                before[k] = within_half_a_turn(other[k]) if there < here else found[frame, k]
         here, there = 0.0, 0.0
         for k in range(3):
-            here += abs(_within_half_a_turn(found[frame, k] - before[k]))
-            there += abs(_within_half_a_turn(other[k] - before[k]))
+            here += abs(within_half_a_turn(found[frame, k] - before[k]))
+            there += abs(within_half_a_turn(other[k] - before[k]))
         for k in range(3):
             if there < here:
                 found[frame, k] = other[k]
             before[k] = found[frame, k]
-
-
-@kernel(inline=True)
-def _within_half_a_turn(angle):
-    return (angle + math.pi) % (2 * math.pi) - math.pi
 
 
 @kernel(inline=True)
