@@ -29,6 +29,8 @@ import asterism
 
 R = TypeVar("R")
 
+_HOW = ("NUMBA_BOUNDSCHECK", "NUMBA_DISABLE_JIT", "MUTANT_UNDER_TEST")
+"""Variables by which the same sources run otherwise: with each access to an array checked, without compiling, with a deliberate fault."""
 _UNUSED = 30 * 86_400.0
 """Seconds after which a value that nobody took is removed, as models are."""
 
@@ -40,7 +42,8 @@ def computed(function: Callable[..., R], *given: Any, beside: object = None, **s
     Raises TypeError for an argument whose value cannot be told from another one: see `digest`.
     """
     source = Path(inspect.getsourcefile(function) or "")
-    name = digest((sources(source), function.__qualname__, given, settings, beside)).hex()[:32]
+    how = {name: os.environ[name] for name in _HOW if name in os.environ}
+    name = digest((sources(source), function.__qualname__, given, settings, beside, how)).hex()[:32]
     path = _folder() / f"{name}.computed"
     with suppress(FileNotFoundError):
         value: R = pickle.loads(path.read_bytes())

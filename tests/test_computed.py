@@ -43,6 +43,15 @@ def test_a_value_is_worked_out_once_for_all_that_it_depends_on() -> None:
     assert computed.computed(doubled, 3, beside="other rules") == 6 and len(calls) == 3
 
 
+@pytest.mark.parametrize("name", ["NUMBA_BOUNDSCHECK", "NUMBA_DISABLE_JIT", "MUTANT_UNDER_TEST"])
+def test_a_run_that_checks_otherwise_works_it_out_anew(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv(name, raising=False)
+    computed.computed(doubled, 3)
+    for value, count in (("1", 2), ("2", 3), ("1", 3)):
+        monkeypatch.setenv(name, value)
+        assert computed.computed(doubled, 3) == 6 and len(calls) == count
+
+
 def test_other_sources_or_tables_give_another_value(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     package = tmp_path / "asterism"
     (package / "room").mkdir(parents=True)
