@@ -37,9 +37,9 @@ class StudyRules:
     noise_std   m, standard deviation of a marker beyond what the body of the person explains, as `LiveRules.noise_std`
     least_doubt probability below which a track without a label says nothing: of the labels that streams are sure of and studies have so,
                 96 % are right, as of those of new tracks. With twice as much likewise; with half of it one label in 3,000 is lost
-    alone       probability from which labels of the first frame alone are taken over where only virtual people taught the model: of those
-                above it 99.6 % were right (n 1,420), of those from 0.93 to 0.95 97 % (676), of those below 71 % (536). Of models of real
-                people all are: 98.8 % of those below it were right (494), with three hidden markers and three ghosts
+    alone       probability from which labels of the first frame alone are given, and not named as candidates, where only virtual people
+                taught the model: of those above it 99.6 % were right (n 1,420), of those from 0.93 to 0.95 97 % (676), of those below 71 %
+                (536). Of models of real people all are: 98.8 % of those below it were right (494), with three hidden markers and ghosts
     lag         s for each marker that a study in `push` is held back, since a process would take as long
     frame_lag   s for each marker and each frame of it, likewise. Of studies of 15, 39 and 73 markers, in a process on an idle core
     """
